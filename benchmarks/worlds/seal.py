@@ -16,8 +16,8 @@ from benchmarks.worlds.files import truth_of_world, write_world
 from benchmarks.worlds.logger import Columns, columns
 from benchmarks.worlds.world import Array, Signals, World
 from rig.results.prove.engine import Engine
-from rig.results.prove.interchange import Made, SealedRig, Task, made, making, seal_all, write_truth
-from rig.results.prove.truth import random_salt
+from rig.results.prove.run import Made, Task, made, making, seal_all
+from rig.results.prove.truth import Sealed, random_salt, seal_truth
 
 MOVING = 0.05
 """Share of the greatest speed in a recording above which the joint counts as moving."""
@@ -55,7 +55,7 @@ def seal_worlds(
     engine: Engine,
     progress: Callable[[str, float], None],
     salt: Callable[[int], str] = random_salt,
-) -> list[SealedRig]:
+) -> list[Sealed]:
     """Draw, simulate and seal worlds; return the worlds with their digests. Nothing is diagnosed.
 
     Worlds that exist already are kept, so that a call that was stopped can be repeated.
@@ -91,7 +91,9 @@ def seal_world(task: Task, plant: Plant, seed: int) -> Made:
             reference = log_of(plant, plain)
             write_world(where.reference.parent, plain, reference)
             strength = strength_of(world, logged, reference)
-        write_truth(where, truth_of_world(world, sorted(plant.not_scored), strength), task.salt)
+        seal_truth(
+            where, where.name, truth_of_world(world, sorted(plant.not_scored), strength), task.salt
+        )
         return made(where)
 
 

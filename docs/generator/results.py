@@ -37,6 +37,8 @@ from rig.commissioning.record import Measured
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
+from rig.results.acceptance.evidence import Check
+from rig.results.catalogue.compare import Figure
 from rig.results.diagnose.model_file import FIELDS
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
@@ -78,7 +80,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.run.dry_run:acceptance_record",
     ),
     "rig commission: commission.json": (
-        "rig.results.commission:commission_record",
+        "rig.cli.commands.commission:commission_record",
         "rig.commissioning.commission:Commissioning.record",
         "rig.commissioning.record:StepRecord.record",
         "rig.wiring.teardown:SafeState.record",
@@ -91,10 +93,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.document:_entry_record",
     ),
     "rig look --json": (
-        "rig.results.look:look_record",
-        "rig.results.look:_log_record",
-        "rig.results.look:_clock_record",
-        "rig.results.look:_column_record",
+        "rig.cli.commands.look:look_record",
+        "rig.cli.commands.look:_log_record",
+        "rig.cli.commands.look:_clock_record",
+        "rig.cli.commands.look:_column_record",
     ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
     "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
@@ -112,10 +114,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.listing:verification_record",
         "rig.results.catalogue.listing:_run_record",
     ),
-    "rig runs accept: acceptance.json": (
-        "rig.results.acceptance.certificate:acceptance_record",
-        "rig.results.acceptance.certificate:_check_record",
-    ),
+    "rig runs accept: acceptance.json": ("rig.results.acceptance.certificate:acceptance_record",),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
         "rig.results.paper.tables:_entry",
@@ -130,14 +129,13 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:names_given",
         "rig.results.prove.score:reliability",
         "rig.results.prove.score:_parts",
-        "rig.results.prove.interchange:_row",
-        "rig.results.prove.row:row_of",
-        "rig.results.prove.row:_named",
-        "rig.results.prove.row:_hits",
-        "rig.results.prove.row:_parameters",
-        "rig.results.prove.row:_nominal",
-        "rig.results.prove.row:_held_out",
-        "rig.results.prove.row:located",
+        "rig.results.prove.run:_row",
+        "rig.results.prove.score:row_of",
+        "rig.results.prove.score:_hits",
+        "rig.results.prove.score:_parameters",
+        "rig.results.prove.score:_nominal",
+        "rig.results.prove.score:_held_out",
+        "rig.results.prove.score:located",
     ),
 }
 """Section of the table to the functions whose dictionaries are written."""
@@ -154,6 +152,8 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
     "rig runs list --json": (Head,),
+    "rig runs accept: acceptance.json": (Check,),
+    "rig runs compare --json": (Figure,),
     "rig run --faults: faults.json": (Finding,),
 }
 """Section to the records that are written field by field."""
@@ -163,6 +163,7 @@ _INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
 """Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig runs list --json": frozenset({"run"}),
+    "rig runs compare --json": frozenset({"low", "high"}),
     "rig identify: identify.json": frozenset(
         {
             "corrections",

@@ -62,9 +62,11 @@ def limits_before(file: Path | None, sequence: SequenceFile) -> tuple[tuple[Limi
     Raises:
         InputError: The file is missing or not valid.
     """
-    if file is None:
-        return limits_of(sequence.acceptance), "the sequence"
-    return limits_of(load_acceptance(file).value.limits), str(file)
+    return _of_file(file) or (limits_of(sequence.acceptance), "the sequence")
+
+
+def _of_file(file: Path | None) -> tuple[tuple[Limit, ...], str] | None:
+    return None if file is None else (limits_of(load_acceptance(file).value.limits), str(file))
 
 
 def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
@@ -78,7 +80,7 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
         InputError: The limits cannot be read, or a file cannot be written.
     """
 
-    limits, source = stated_limits(folder, None)
+    limits, source = _stated_limits(folder, None)
     if not limits:
         return DONE
     count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
@@ -95,12 +97,12 @@ _OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin; see :func:`stated_limits`.
+    """Return the limits for a run and their origin; see :func:`_stated_limits`.
 
     Raises:
         InputError: No limits are stated, or they cannot be read.
     """
-    limits, source = stated_limits(folder, file)
+    limits, source = _stated_limits(folder, file)
     if not limits:
         raise InputError(
             f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
@@ -109,15 +111,10 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
     return limits, source
 
 
-def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin: the file given here, else the file that was
-    given to the run, else the recorded sequence, which may state no limits.
-
-    Raises:
-        InputError: A file is not valid, or cannot be read.
-    """
-    if file is not None:
-        return limits_of(load_acceptance(file).value.limits), str(file)
+def _stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
+    """Return limits and origin: this file, else the file or the sequence of the run."""
+    if (stated := _of_file(file)) is not None:
+        return stated
     given = recorded_acceptance(folder, read_record(folder))
     if given is None:
         return _limits_of_the_sequence(folder), _OF_THE_SEQUENCE
@@ -127,11 +124,7 @@ def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], s
 
 
 def _limits_of_the_sequence(folder: Path) -> tuple[Limit, ...]:
-    """Return the acceptance limits in the sequence that is attached to a run's recording.
-
-    Raises:
-        InputError: The sequence cannot be read.
-    """
+    """Return the limits in the sequence that is attached to a run's recording."""
     path = folder / RECORDING_FILE
     try:
         root, _ = parse(first_attachment(path, SEQUENCE_ATTACHMENT).decode("utf-8"))

@@ -1,6 +1,4 @@
-"""Performs the steps after a run has ended, common to ``rig run`` and ``rig resume``: label check,
-page, status.
-"""
+"""The steps after ``rig run`` and ``rig resume``: label check, page, seal, status."""
 
 from __future__ import annotations
 
@@ -39,9 +37,7 @@ STATUS: Mapping[Ending, int] = {
 
 
 def status_of(outcome: Outcome) -> int:
-    """Return the exit status of a run or jog; 4 if the drive was not proved off, unless the program
-    itself broke down.
-    """
+    """Return the exit status; 4 if the drive was not proved off, unless the program broke."""
     status = STATUS[outcome.ending]
     return status if outcome.safe.verified or status == CRASHED else DEVICE_FAILED
 

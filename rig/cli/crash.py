@@ -17,12 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from rig.common.provenance import utc_now, versions
+from rig.common.provenance import RUN_FILE, utc_now, versions
 
-RUN_FILE: Final = "run.json"
-"""Copy of the value in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by
-0.1 s.
-"""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog", "commission"})
@@ -38,9 +34,7 @@ _NOT_KNOWN: Final = (
 
 
 def note_drive(error: BaseException, words: str) -> None:
-    """Attach the final state of the drive to an exception, e.g. "the drive is de-energised (read
-    back: ...)".
-    """
+    """Attach the final state of the drive to an exception, as text."""
     error.add_note(f"{_DRIVE}{words}")
 
 
@@ -62,9 +56,7 @@ def drive_words(error: BaseException) -> str | None:
 
 @contextmanager
 def noting_folder(folder: Path) -> Iterator[None]:
-    """Attach a run folder to every exception that passes, so that its traceback is written into
-    this folder.
-    """
+    """Attach a run folder to passing exceptions; their traceback is written there."""
     try:
         yield
     except BaseException as error:
@@ -81,13 +73,7 @@ def storage_words(error: OSError) -> str | None:
 
 
 def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
-    """Write the traceback to a file, and return the message for the operator.
-
-    Args:
-        error: The unexpected exception.
-        arguments: Arguments of the command line.
-        command: The subcommand; empty if no subcommand was called.
-    """
+    """Write the traceback to a file, and return the message for the operator."""
     drive = drive_words(error)
     if drive is None and command in _MOVES:
         drive = _NOT_KNOWN

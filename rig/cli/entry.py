@@ -62,10 +62,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.prove:prove",
         "Test the diagnosis on blind trials with injected effects.",
     ),
-    "runs": (
-        "rig.cli.commands.runs:command",
-        "List, show, compare and verify recorded runs.",
-    ),
+    "runs": ("rig.cli.commands.runs:command", "List, show, compare and verify recorded runs."),
     "look": ("rig.cli.commands.look:look", "Show the content of a log made elsewhere."),
     "export": ("rig.cli.commands.export:export", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.export:recover", "Repair a run whose writer died."),
@@ -101,9 +98,7 @@ class _HiddenError(Exception):
 
 
 class LazyGroup(click.Group):
-    """A group that imports a subcommand only when it is called, so that ``rig --help`` stays
-    quick.
-    """
+    """A group that imports a subcommand only when it is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of the table."""
@@ -132,9 +127,7 @@ class LazyGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete names of subcommands from the table, without importing a subcommand, and the
-        options of the group.
-        """
+        """Complete subcommands from the table, without an import, and options."""
         names = [
             CompletionItem(name, help=text)
             for name, (_, text) in COMMANDS.items()
@@ -143,9 +136,7 @@ class LazyGroup(click.Group):
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the subcommand. click would treat every EOFError as Ctrl-C and every broken pipe as a
-        closed output; this method passes these errors on unchanged.
-        """
+        """Run the subcommand; errors that click would take for Ctrl-C or a closed output pass."""
         try:
             return super().invoke(ctx)
         except (EOFError, OSError) as error:
@@ -179,9 +170,7 @@ def cli(verbose: bool) -> None:
 
 
 def find_kernel_folder() -> None:
-    """Let numba store compiled kernels in a private temporary folder if neither the folder of the
-    program nor the cache folder of the user is writable; must be called before numba is imported.
-    """
+    """Give numba, before its import, a private folder if it could cache nowhere else."""
     if os.name != "posix":
         return
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
@@ -266,9 +255,7 @@ def status(arguments: list[str]) -> int:
 
 
 def _device_errors() -> tuple[type[BaseException], ...]:
-    """Return the base class of the device errors, or nothing if no driver was imported, as by
-    commands that only read recordings.
-    """
+    """Return the base class of the device errors, or nothing if no driver was imported."""
     errors = sys.modules.get("drivers.errors")
     return () if errors is None else (errors.DeviceError,)
 
@@ -283,12 +270,7 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Reports, without a traceback, errors that occur in other threads or where no error can be
-    raised.
-
-    Attributes:
-        broken: Whether a thread failed, so that its result is missing.
-    """
+    """Reports errors of other threads without a traceback; ``broken`` if a result is missing."""
 
     def __init__(self, arguments: list[str]) -> None:
         self.broken = False

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from rig.common.places import require_file
 from rig.common.text import valid
 
 Decorator = Callable[[Any], Any]
@@ -44,9 +45,15 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
+def _writable(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse a file that cannot be written, before any work."""
+    require_file(path, option.opts[0])
+    return path
+
+
 _FILE = click.Path(path_type=Path, dir_okay=False)
 result_file: Decorator = click.option(
-    "--json", "json_file", metavar="FILE", type=_FILE, help="Result file."
+    "--json", "json_file", metavar="FILE", type=_FILE, callback=_writable, help="Result file."
 )
 partial: Decorator = click.option(
     "--partial",
@@ -82,6 +89,7 @@ junit: Decorator = click.option(
     "junit_file",
     metavar="FILE",
     type=_FILE,
+    callback=_writable,
     help="Also write the acceptance as JUnit XML.",
 )
 first_pass: Decorator = click.option(
@@ -94,7 +102,8 @@ first_pass: Decorator = click.option(
 
 def record_file(words: str) -> Decorator:
     """Return a decorator that adds ``--json`` for a copy of the record, as ``json_file``."""
-    return click.option("--json", "json_file", type=click.Path(path_type=Path), help=words)
+    path = click.Path(path_type=Path)
+    return click.option("--json", "json_file", type=path, callback=_writable, help=words)
 
 
 def out_folder(words: str) -> Decorator:
@@ -120,11 +129,7 @@ def bandwidth(words: str) -> Decorator:
 
 
 def acceptance(default: str) -> Decorator:
-    """Return a decorator that adds ``--acceptance`` for a file of limits.
-
-    Args:
-        default: Text on the limits that apply without the option.
-    """
+    """Return a decorator that adds ``--acceptance`` for a file of limits."""
     return click.option(
         "--acceptance",
         metavar="FILE",
@@ -134,11 +139,7 @@ def acceptance(default: str) -> Decorator:
 
 
 def reset_fault(more: str = "") -> Decorator:
-    """Return a decorator that adds ``--reset-fault``.
-
-    Args:
-        more: Text added to the help of the option.
-    """
+    """Return a decorator that adds ``--reset-fault``."""
     return click.option(
         "--reset-fault",
         is_flag=True,

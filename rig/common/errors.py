@@ -23,9 +23,7 @@ class InputError(Exception):
 
 
 class StorageError(Exception):
-    """A recording, a run folder or a lock file cannot be written; the command line exits with
-    status 4.
-    """
+    """A recording, run folder or lock file cannot be written; status 4."""
 
 
 class InUseError(Exception):

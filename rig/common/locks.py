@@ -96,9 +96,7 @@ class Holder:
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return a description of the holder of a lock, with the start time of the holder, and with
-        the name of the locked object if this name is not ``what``.
-        """
+        """Return a description of the holder; the locked object only if it is not ``what``."""
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
         host = f", computer {self.host}" if self.host and self.host != socket.gethostname() else ""
@@ -214,9 +212,7 @@ class Lock:
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process, under the name ``command``, to the lock files as their holder; no
-        error is raised.
-        """
+        """Write this process to the lock files as their holder; no error is raised."""
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)
@@ -270,10 +266,6 @@ def lock_files(resources: Iterable[Resource], folder: Path | None = None) -> lis
 def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
-    Args:
-        folder: The run folder; it must exist.
-        command: The locking command, such as ``rig resume``.
-
     Raises:
         InputError: The folder does not exist.
         InUseError: Another program holds the lock.
@@ -288,12 +280,7 @@ def hold_folder(folder: Path, command: str) -> Lock:
 
 
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
-    """Return the inherited locks; :meth:`Lock.note` writes this process as their holder.
-
-    Args:
-        descriptors: Descriptors of all inherited lock files.
-        folder: The run folder, if its lock is among the inherited locks.
-    """
+    """Return the inherited locks; :meth:`Lock.note` writes this process as their holder."""
     return Lock(
         [_Held(descriptor) for descriptor in descriptors],
         owner=None if folder is None else folder / OWNER_FILE,
@@ -308,15 +295,7 @@ def file_name(key: str) -> str:
 
 @dataclass(frozen=True)
 class _Place:
-    """A lock file.
-
-    Attributes:
-        subject: The locked object in messages to the operator.
-        what: The locked object as written in the file.
-        folder: Folder of the lock file.
-        file: Name of the lock file in the folder.
-        shared: Whether the folder is for all users of this computer.
-    """
+    """A lock file: subject in messages, ``what`` it says it locks; ``shared`` by all users."""
 
     subject: str
     what: str

@@ -53,10 +53,6 @@ def read_bytes(path: Path) -> bytes:
 def read_json(path: Path, remedy: str = "") -> Any:
     """Return the content of a JSON file.
 
-    Args:
-        path: The file.
-        remedy: Remedy for the message if the file cannot be read.
-
     Raises:
         InputError: The file cannot be read, is not JSON, or has a number beyond the floating-point
             range.
@@ -102,16 +98,12 @@ def source_name(source: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is an existing regular file, after following links; false if access
-    is denied. Unlike :meth:`pathlib.Path.is_file`, this function never raises an exception.
-    """
+    """Return whether ``path`` is a regular file, links followed; never raises."""
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether ``path`` is an existing folder, after following links; false if access is
-    denied. Unlike :meth:`pathlib.Path.is_dir`, this function never raises an exception.
-    """
+    """Return whether ``path`` is a folder, links followed; never raises."""
     return os.path.isdir(path)
 
 
@@ -130,10 +122,6 @@ def _after(remedy: str) -> str:
 
 def require_folder(path: Path, option: str) -> None:
     """Check before the work that a folder exists or can be created; the function creates nothing.
-
-    Args:
-        path: The folder.
-        option: Option that names the folder, for the message.
 
     Raises:
         InputError: The folder cannot be made; the message names the parent folder that prevents it.

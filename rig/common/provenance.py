@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.common.places import require_plain
+from rig.common.places import is_folder, require_plain
 
 if TYPE_CHECKING:
     # At run time this import would load numba, for which `rig --help` must not wait.
@@ -44,7 +44,7 @@ def utc_now() -> datetime:
 def versions() -> dict[str, str]:
     """Return the versions of this program and its dependencies, and the commit of a work tree."""
     found = dict(_installed())
-    commit = git_commit(Path(__file__).parents[2])
+    commit = _git_commit(Path(__file__).parents[2])
     if commit:
         found["commit"] = commit
     return found
@@ -56,10 +56,8 @@ def _installed() -> Mapping[str, str]:
     return {name: version(name) for name in names} | {"python": platform.python_version()}
 
 
-def git_commit(root: Path) -> str | None:
-    """Return the commit that is checked out at ``root``, or None if ``root`` is no plain git work
-    tree.
-    """
+def _git_commit(root: Path) -> str | None:
+    """Return the commit that is checked out at ``root``; None without a plain work tree."""
     head = _text(root / ".git" / "HEAD")
     if head is None or not head.startswith("ref: "):
         return head
@@ -79,6 +77,8 @@ def _text(path: Path) -> str | None:
         return None
 
 
+RUN_FILE = "run.json"
+"""Record of a run in its folder."""
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
 """Name of the result file of ``rig identify`` in a run folder."""
@@ -113,17 +113,13 @@ class Provenance:
     ) -> Provenance:
         """Return the provenance of a result made just now from these recordings.
 
-        Args:
-            seed: Seed of the random generator.
-            recordings: The recordings used.
-            seconds: Wall-clock time spent.
-            described_by: The campaign file or a run's ``run.json`` that describes the recordings.
-            tables: SHA-256 of the tables that list the recordings, by path.
-
         Raises:
             OSError: ``described_by`` cannot be read.
         """
-        inputs = {str(described_by): sha256_file(described_by)} if described_by else {}
+        inputs = {}
+        if described_by is not None:
+            file = described_by / RUN_FILE if is_folder(described_by) else described_by
+            inputs[str(file)] = sha256_file(file)
         inputs |= dict(tables or {})
         inputs |= {r.source: r.sha256 for r in recordings if r.source}
         return cls(seed, inputs, seconds, utc_now().isoformat(timespec="seconds"), versions())
@@ -141,15 +137,24 @@ class Provenance:
         }
 
 
+def heading(schema: str) -> dict[str, Any]:
+    """Return the keys that a result file without a fit begins with, at the present time."""
+    known = versions()
+    return {
+        "schema": schema,
+        "version": known["loadrig"],
+        "versions": known,
+        "created": utc_now().isoformat(timespec="seconds"),
+    }
+
+
 def finite(value: float | None) -> float | None:
     """Return a plain float, or None for infinities and NaN, which JSON does not have."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
 def plain(value: Any, *left_out: str) -> Any:
-    """Return a value for JSON: a dataclass as a mapping, without the fields ``left_out``; arrays
-    as lists; infinities and NaN as None.
-    """
+    """Return a value for JSON: dataclasses as mappings, arrays as lists, NaN as None."""
     if is_dataclass(value):
         names = [field.name for field in fields(value) if field.name not in left_out]
         return {name: plain(getattr(value, name)) for name in names}

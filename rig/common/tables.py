@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
 _GAP = "  "
+_LEVELS: Final = "▁▂▃▄▅▆▇█"
 CHANGED: Final = "changed"
 """Finding on a constant whose difference exceeds its uncertainty, in every table."""
 NO_CHANGE: Final = "no change"
@@ -49,9 +51,21 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share in percent with three significant digits (all digits from 1000 up), or a dash
-    for None.
-    """
+    """Return a share in percent, three digits (all from 1000 up), or a dash for None."""
     if value is None:
         return "-"
     return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:z.3g} %"
+
+
+def picture(strip: Sequence[float]) -> str:
+    """Return values as bars of eight heights; a blank stands for a missing value."""
+    known = [value for value in strip if math.isfinite(value)]
+    if not known:
+        return ""
+    low, span = min(known), max(known) - min(known)
+    return "".join(
+        _LEVELS[min(7, int(8 * (value - low) / span)) if span else 0]
+        if math.isfinite(value)
+        else " "
+        for value in strip
+    )

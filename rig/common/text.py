@@ -13,9 +13,7 @@ from typing import Any
 
 
 def valid(text: str) -> str:
-    """Return a text with undecoded bytes decoded as UTF-8; bytes that are not UTF-8 become escapes
-    like ``\\xfc``.
-    """
+    """Return a text with undecoded bytes as UTF-8, or as escapes like ``\\xfc``."""
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:

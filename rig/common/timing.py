@@ -119,10 +119,9 @@ def summary(timing: Mapping[str, Any]) -> str:
         return "no cycle was completed"
     return (
         f"lateness of cycles p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer "
-        f"of the devices p99 {answer['p99_us']:.0f} us; "
-        f"{timing['missed_syncs']} SYNCs missed; samples lost: "
-        f"{timing['lost_servo']} of the drive, {timing['lost_encoder']} of the encoder; "
-        f"oldest sample {timing['oldest_sample_s'] * 1e3:.3g} ms"
+        f"of the devices p99 {answer['p99_us']:.0f} us; {timing['missed_syncs']} SYNCs missed; "
+        f"samples lost: {timing['lost_servo']} of the drive, {timing['lost_encoder']} of the "
+        f"encoder; oldest sample {timing['oldest_sample_s'] * 1e3:.3g} ms"
     )
 
 

@@ -33,13 +33,7 @@ _CORE = "tag:yaml.org,2002:"
 
 @dataclass(frozen=True)
 class Mark:
-    """A place in a file, counted from 1.
-
-    Attributes:
-        line: Line.
-        column: Column.
-        file: The file of the place, if it is not the file from which the tree was read.
-    """
+    """A place in a file, counted from 1."""
 
     line: int
     column: int
@@ -48,13 +42,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Node:
-    """One value and the place at which it starts.
-
-    Attributes:
-        value: A scalar, a list of nodes, or a mapping of keys to nodes.
-        mark: Where the value starts.
-        keys: For a mapping: where each key starts.
-    """
+    """One value and the place at which it starts."""
 
     value: Scalar | list[Node] | dict[str, Node]
     mark: Mark

@@ -60,20 +60,14 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Items:
-    """A list.
-
-    Attributes:
-        items: Name and text of each item; the name, such as that of a file, may be empty.
-    """
+    """A list."""
 
     items: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Overall verdict: ``good`` (no problem), ``found`` (a cause was found) or ``open``
-    (undecided).
-    """
+    """Overall verdict: ``good``, ``found`` (a cause was found) or ``open`` (undecided)."""
 
     headline: str
     statement: str
@@ -82,15 +76,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Picture:
-    """A rendered figure.
-
-    Attributes:
-        name: File name without its ending.
-        caption: Description of its content.
-        data: PNG.
-        lead: Whether the picture is at the top of a page, drawn so that it can be read on a
-            telephone.
-    """
+    """A rendered figure."""
 
     name: str
     caption: str
@@ -99,9 +85,7 @@ class Picture:
 
     @classmethod
     def of(cls, name: str, caption: str, figure: Figure, *, lead: bool = False) -> Picture:
-        """Render a figure. Characters of the name that are not safe in a file name become
-        underscores.
-        """
+        """Render a figure under a name that is safe for a file."""
         # Imported late: documents without figures do not need the plotting library.
         from identification.plots.style import png
 
@@ -120,13 +104,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks with a title; blocks without a title belong to the section above.
-
-    Attributes:
-        title: Heading.
-        blocks: Content of the section, in order.
-        anchor: Name of the section in links.
-    """
+    """Blocks with a title; blocks without a title belong to the section above."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -179,9 +157,12 @@ def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
 
 
 def page(document: Document) -> str:
-    """Return a document as HTML, from the template. All text is escaped, and an undefined name in
-    the template is an error.
-    """
+    """Return a document as HTML; all text is escaped, an undefined name is an error."""
+    return filled("page.html.j2", document)
+
+
+def filled(template: str, document: Document) -> str:
+    """Return a document in a template of this package."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -189,13 +170,8 @@ def page(document: Document) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["form"] = _form
-    return environment.get_template("page.html.j2").render(document=document)
-
-
-def _form(block: Block) -> str:
-    """Return the kind of a block for the template."""
-    return type(block).__name__
+    environment.filters["form"] = lambda block: type(block).__name__
+    return environment.get_template(template).render(document=document)
 
 
 Drawn = TypeVar("Drawn")
@@ -219,9 +195,7 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return notes on corrections and implausible values; only the first of several notes that
-    differ only in numbers is returned.
-    """
+    """Return notes on corrections; of notes that differ in numbers only, the first."""
     alike: dict[str, list[str]] = {}
     for recording in recordings:
         for note in recording.notes:

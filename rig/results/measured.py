@@ -32,9 +32,7 @@ def clock_words(measure: str, record: RunRecord) -> str:
 
 
 def _timing(part: str) -> Measured:
-    """Return the function that computes a statistic of a timing histogram, s; of the values of all
-    recordings, the worst counts.
-    """
+    """Return the statistic of a timing histogram, s; of several recordings the worst counts."""
 
     def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
         timings = [p.timing[part] for p in record.parts if p.timing]
@@ -54,9 +52,7 @@ def _count(*names: str) -> Measured:
 
 
 def _trace(of: Callable[[Recording], Array | None]) -> Measured:
-    """Return the function that computes rms or greatest magnitude of a signal over all
-    excitations.
-    """
+    """Return rms or greatest magnitude of a signal over all excitations."""
 
     def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
         recordings = dataset.recordings if dataset else ()
@@ -99,9 +95,7 @@ torque error, which is a result of the identification.
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
-    """Return names and values of the known facts of a source: of a run, these are bench, date and
-    operator; of a campaign, the file.
-    """
+    """Return bench, date and operator of a run, or the file of a campaign."""
     if not is_folder(source):
         return (("campaign", source.name),)
     try:
@@ -109,10 +103,9 @@ def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
     except InputError:
         return (("run", source.name),)
     kind = "simulated" if record.simulated else "REAL BENCH"
-    operators = [part.operator for part in record.parts if part.operator]
     return (
         ("bench", f"{bench_name(source, record)} ({kind})"),
         ("begun", record.created.replace("T", " ").replace("+00:00", " UTC")),
-        ("operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"),
+        ("operator", record.operators_words),
         ("sequence", record.name),
     )

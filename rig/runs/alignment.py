@@ -93,9 +93,8 @@ def aligned(
         return dict(channels), ""
     new = np.concatenate(([True], np.diff(stamps) > 0.0))
     words = (
-        f"the joint encoder samples by its own clock: angles up to "
-        f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms "
-        "older than the drive's samples"
+        "the joint encoder samples by its own clock: angles up to "
+        f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms older than the drive's samples"
     )
     motor = channels.get("motor_angle")
     if motor is not None and not 0.0 < quantum(angle) < quantum(motor) / gear_ratio:
@@ -114,9 +113,7 @@ def aligned(
 
 
 def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
-    """Return an encoder's samples with short gaps filled by interpolated counts, and the number of
-    filled samples.
-    """
+    """Return an encoder's samples with short gaps filled, and the number of filled samples."""
     steps = np.diff(taken)
     missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1
     missing = np.where((missing > 0) & (missing <= _FILLED), missing, 0)
@@ -135,9 +132,7 @@ def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
 
 
 def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
-    """Return a channel at other times; for an averaged channel, the mean over the period that ends
-    at each time.
-    """
+    """Return a channel at other times, or its mean over the period that ends there."""
     if not mean:
         return np.interp(instants, time, values)
     period = float(np.median(np.diff(time)))

@@ -36,12 +36,7 @@ class Slice(NamedTuple):
 
 
 class Decimation:
-    """Minima and maxima over intervals of every length.
-
-    Args:
-        channels: Number of channels.
-        cycle_s: Control cycle, s.
-    """
+    """Minima and maxima over intervals of every length."""
 
     def __init__(self, channels: int, cycle_s: float) -> None:
         self._channels = channels
@@ -54,12 +49,7 @@ class Decimation:
         return self._cycle_s * 2.0**level
 
     def level(self, window_s: float, pixels: int) -> int:
-        """Return the level with at least one and at most two intervals per pixel.
-
-        Args:
-            window_s: Width of a chart, s.
-            pixels: Width of the chart, pixels.
-        """
+        """Return the level with at least one and at most two intervals per pixel."""
         pixels = min(max(pixels, 1), KEPT // 2)
         return max(0, math.floor(math.log2(max(window_s / pixels / self._cycle_s, 1.0))))
 
@@ -82,9 +72,7 @@ class Decimation:
             numbers = numbers >> 1
 
     def since(self, level: int, first: int) -> Slice:
-        """Return the intervals of a level from number ``first`` on; intervals that were dropped are
-        missing.
-        """
+        """Return the kept intervals of a level from number ``first`` on."""
         if level >= len(self._levels):
             empty = np.empty((self._channels, 0))
             return Slice(level, first, empty, empty)

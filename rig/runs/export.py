@@ -116,9 +116,7 @@ class Count:
 
 
 def _can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
-    """Yield the CAN frames of all recordings of a run and their times, ns since 1970; bytes of
-    serial lines are only counted.
-    """
+    """Yield the CAN frames of a run, times in ns since 1970; serial bytes are only counted."""
     for part in record.parts:
         clock = FrameClock(folder, part)
         for topic, message in messages(folder, part):
@@ -135,9 +133,7 @@ def _can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFr
 
 
 def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
-    """Write a log in the format of ``candump -L -x``: time since 1970, interface, identifier, data,
-    and T for frames that the host sent.
-    """
+    """Write a log as ``candump -L -x`` does; T marks frames that the host sent."""
     for frame in frames:
         flags = frame.identifier
         seconds, microseconds = divmod(_microseconds(frame.time_ns), 1_000_000)
@@ -155,13 +151,7 @@ def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
 
 
 def _write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
-    """Write a log in the format of Vector's CANalyzer: seconds since the start of the log, channel
-    1, identifier, direction and data. In this format an error frame has neither identifier nor
-    data.
-
-    The log starts at the whole second before its first frame, because the format states the date of
-    the start only to milliseconds.
-    """
+    """Write a log as Vector does, from a whole second on, because its date has milliseconds."""
     first = next(frames, None)
     start = 0 if first is None else _microseconds(first.time_ns) // 1_000_000 * 1_000_000
     begun = _date(start)
@@ -192,9 +182,7 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 
 
 def _date(microseconds: int) -> str:
-    """Return a date in the form of Vector's tools: in the computer's local time, and in English for
-    every locale.
-    """
+    """Return a date as Vector writes it: local time, in English for every locale."""
     at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
     noon = "am" if at.hour < 12 else "pm"
     clock = f"{(at.hour + 11) % 12 + 1:02d}:{at:%M:%S}.{at.microsecond // 1000:03d} {noon}"
@@ -235,11 +223,6 @@ RECORDING_TYPE = "loadrig/msg/Recording"
 
 def write_mcap(dataset: Dataset, path: Path, run: Run | None) -> None:
     """Write the recordings and, for a run, its events and raw frames.
-
-    Args:
-        dataset: The recordings.
-        path: The file.
-        run: Folder and record of the run that the recordings are from, or None for a campaign.
 
     Raises:
         InputError: A recording of the run is damaged.

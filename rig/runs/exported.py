@@ -151,9 +151,7 @@ def _misfit(path: Path, error: RecordingError | str) -> InputError:
 
 
 def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
-    """Stack all recordings: return the name of the recording for every row, and the channels, with
-    NaN in the rows of recordings without a channel.
-    """
+    """Stack all recordings: name of the recording for every row, and channels or NaN."""
     present = {name for recording in dataset.recordings for name in recording.channels}
     names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
     stacked = {
@@ -184,9 +182,7 @@ def write_csv(dataset: Dataset, path: Path) -> None:
 
 
 def write_mat(dataset: Dataset, path: Path) -> None:
-    """Write a struct array ``recordings`` (name, stage, weight_mass, role, and one field per
-    channel) and ``units``.
-    """
+    """Write a struct array ``recordings``, one field per channel, and ``units``."""
     from scipy.io import savemat
 
     present = [name for name in CHANNELS if any(name in r.channels for r in dataset.recordings)]
@@ -290,9 +286,7 @@ def _read_parquet(path: Path) -> list[Read] | None:
 
 
 def topics(names: Sequence[str]) -> list[str]:
-    """Return the topic of each recording: letters, digits and underscores; equal topics are
-    numbered.
-    """
+    """Return the topic of each recording; equal topics are numbered."""
     found: list[str] = []
     for name in names:
         plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "recording"
@@ -368,11 +362,6 @@ READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
 
 def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording] | None:
     """Return the recordings of an export, or None if another program wrote the file.
-
-    Args:
-        path: The file.
-        kind: Format of the file.
-        bench: Constants that replace those of the file.
 
     Raises:
         InputError: The numbers in the file do not fit the description.

@@ -79,13 +79,7 @@ def layout(tool: Literal["foxglove", "plotjuggler"]) -> Path:
 
 
 def refusal(request: Request, port: int, token: str | None) -> str | None:
-    """Return why a request is refused, or None if it is accepted.
-
-    Args:
-        request: The request of a client.
-        port: The port at which the request arrived.
-        token: The token that the address of the request must contain, or None for no token.
-    """
+    """Return why a request is refused, or None if it is accepted."""
     name, _, given_port = request.host.rpartition(":")
     if name not in NAMES or given_port != str(port):
         return f"Host is {request.host!r}, not {HOST}:{port}"
@@ -105,14 +99,7 @@ def refusal(request: Request, port: int, token: str | None) -> str | None:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of the stream.
-
-    Attributes:
-        name: Name of the topic for the client.
-        recorded: Topic of the recording from which the messages come.
-        encoding: Encoding of the messages.
-        schema: Name, encoding and text of the definition of the messages.
-    """
+    """One topic of the stream."""
 
     name: str
     recorded: str
@@ -144,13 +131,7 @@ class Outgoing(NamedTuple):
 
 
 def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    """Yield the messages of the stream that follow from a record of the recording, in recorded
-    order.
-
-    Args:
-        messages: Recorded topic and message.
-        wanted: Names of the topics that the client has subscribed to.
-    """
+    """Yield the messages of the stream that follow from a record, in recorded order."""
     for recorded, group in groupby(messages, lambda item: item[0]):
         rows = [message for _, message in group]
         if recorded == SAMPLE_TOPIC and recorded in wanted:
@@ -170,10 +151,7 @@ def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) ->
 
 
 def _json_without_nan(data: bytes) -> bytes:
-    """Return an event as strict JSON: NaN and infinities, which JSON lacks, become text.
-
-    An event without NaN and infinities is returned unchanged.
-    """
+    """Return an event as strict JSON: NaN and infinities become text."""
     found: list[str] = []
 
     def text(word: str) -> str:

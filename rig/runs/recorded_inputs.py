@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GivenFile:
-    """A file that was given to a run in addition to bench and sequence.
-
-    Attributes:
-        entry: Entry of the file in ``run.json``: path and SHA-256.
-        content: Bytes of the file.
-    """
+    """A file that was given to a run in addition to bench and sequence."""
 
     entry: Mapping[str, str]
     content: bytes
@@ -46,9 +41,7 @@ class GivenFile:
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
-    """Return the path of an input file for ``run.json``; it is absolute, because a run may be
-    resumed from another working folder.
-    """
+    """Return the entry of an input file, with an absolute path, for ``run.json``."""
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
 
@@ -58,10 +51,6 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     Older run files have the path as typed. If no file exists at a relative path from the current
     folder, the path is tried from the parent folders of the run, because the run was probably
     started in one of these folders.
-
-    Args:
-        folder: The run folder.
-        entry: Entry of the file in ``run.json``.
     """
     path = stored_path(entry["file"])
     if path.is_absolute():
@@ -125,9 +114,7 @@ JOINT_FIELDS = {
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
-    """Return the nine parameters of a simulated machine under the names of the estimators, SI
-    units.
-    """
+    """Return the parameters of a simulated machine by the estimators' names, SI."""
     return {name: getattr(machine.joint, field) for name, field in JOINT_FIELDS.items()}
 
 

@@ -1,6 +1,4 @@
-"""Writes samples, events and raw frames of a run into an MCAP recording; if the writer is killed,
-only the last data are lost.
-"""
+"""Writes a run into an MCAP recording; a killed writer loses only the last data."""
 
 from __future__ import annotations
 
@@ -41,12 +39,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENO
 
 
 class GoneError(StorageError):
-    """The recording is no longer in the folder of the run.
-
-    Args:
-        path: The recording.
-        moved: Whether the file still exists at another place.
-    """
+    """The recording is no longer in the folder of the run."""
 
     def __init__(self, path: Path, moved: bool) -> None:
         super().__init__(
@@ -126,9 +119,7 @@ class Recorder:
             raise _failed(error) from error
 
     def _require_in_place(self) -> None:
-        """Raise an error if the file is no longer at its path: a deleted file can still be written
-        until it is closed, and is then lost.
-        """
+        """Refuse a deleted or moved file, which can be written until it is closed, and is lost."""
         if self._path is None:
             return
         mine = os.fstat(self._stream.fileno())
@@ -203,9 +194,7 @@ class Recorder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Permit no write after the first failure, because a reader cannot read records after an
-        incomplete record.
-        """
+        """Permit no write after the first failure: nothing behind it could be read."""
         if self._broken:
             raise _broken_before()
         try:

@@ -1,6 +1,4 @@
-"""Repairs a run whose writer died: writes a clean recording of all readable records, and completes
-``run.json`` from this recording. Finds the stage with which a stopped run continues.
-"""
+"""Repairs a run whose writer died, and finds the stage with which a stopped run continues."""
 
 from __future__ import annotations
 
@@ -64,10 +62,6 @@ class Recovery:
 def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
     """Lock a run folder, and repair it with :func:`mend`.
 
-    Args:
-        folder: The run folder.
-        purpose: The command, for the message to other programs that find the folder in use.
-
     Raises:
         InputError: No recording is readable, or the folder has the files of an earlier recovery.
         InUseError: The run is in progress, or another program uses the folder.
@@ -111,9 +105,7 @@ def damaged_name(file: str) -> str:
 
 
 def _never_begun(path: Path) -> bool:
-    """Return whether the recording is empty because its writer died before the first byte; remove
-    the empty file.
-    """
+    """Return whether the writer died before the first byte; remove the empty file."""
     if path.exists() and path.stat().st_size:
         return False
     path.unlink(missing_ok=True)
@@ -135,11 +127,7 @@ def _mend(path: Path, log: Log) -> None:
 
 
 def _record(folder: Path) -> tuple[RunRecord, list[str]]:
-    """Return the last ``run.json``, and texts on its errors.
-
-    If ``run.json`` is lost or cannot be used, the copy that is attached to the latest recording is
-    used.
-    """
+    """Return ``run.json``, else the copy in the latest recording, and texts on its errors."""
     path = folder / RUN_FILE
     try:
         return read_record(folder), []
@@ -188,9 +176,7 @@ def _copy(log: Log, recorder: Recorder) -> None:
 
 
 def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
-    """Determine from events and samples which excitations were finished and how the run ended, and
-    write these results into the record.
-    """
+    """Write into the record which excitations were finished and how the run ended."""
     record.segments = []
     for number, log in enumerate(logs, start=1):
         _add_segments(record, number, log)
@@ -223,9 +209,7 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:
-    """Add the excitations that began in one recording; an excitation with missing samples gets no
-    end.
-    """
+    """Add the excitations of one recording; one with missing samples gets no end."""
     for event in log.events:
         if event["event"] == "prompt":
             discard(record, event["index"])
@@ -293,9 +277,7 @@ def prepare(folder: Path) -> Resumption:
 
 
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
-    """Return the path of an input file, after a check that the file is unchanged since the start of
-    the run.
-    """
+    """Return the path of an input file that is unchanged since the start of the run."""
     entry = record.inputs[name]
     path = recorded_input(folder, entry)
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""

@@ -18,7 +18,7 @@ from rig.common.locks import OWNER_FILE, Lock, hold_folder
 from rig.common.places import is_file, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
-from rig.runs.mcap.reader import DamageError, Log, NotARecordingError, read_run, sample_blocks
+from rig.runs.mcap.reader import Block, DamageError, Log, NotARecordingError, read_run, run_items
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
@@ -135,7 +135,9 @@ def by_segment(
     if whole:
         try:
             wanted = sorted({name for names in fields.values() for name in names})
-            return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
+            items = run_items(path, ["segment", *wanted], only_samples=True)
+            blocks = (item.samples for item in items if isinstance(item, Block))
+            return _gather(blocks, fields, expected), None
         except (DamageError, OSError):
             pass  # read_log reports the damage in full
     log = read_log(path)
@@ -164,9 +166,7 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
 
 
 class _Growing:
-    """One field of a segment, into which blocks are copied as they arrive, because joining the
-    blocks at the end would need twice the memory.
-    """
+    """One field of a segment, filled in place: joining blocks would need twice the memory."""
 
     def __init__(self, expected: int) -> None:
         self._values = np.empty(expected)
@@ -225,10 +225,6 @@ _MARGIN_BYTES = 16 << 20
 def require_space(path: Path, cycles: float) -> None:
     """Check that the disk has the space for a whole run.
 
-    Args:
-        path: The run folder, which need not exist.
-        cycles: Number of control cycles of the run.
-
     Raises:
         InputError: The space is not sufficient.
     """
@@ -249,13 +245,7 @@ def require_space(path: Path, cycles: float) -> None:
 
 
 class RunFolder:
-    """A run folder that is being written: the state of the run on disk.
-
-    Args:
-        path: The folder.
-        record: Content of ``run.json``.
-        told: Warnings that the operator was told at the start.
-    """
+    """A run folder that is being written: the state of the run on disk."""
 
     def __init__(self, path: Path, record: RunRecord, told: frozenset[str] = frozenset()) -> None:
         self.path = path
@@ -380,10 +370,6 @@ def bench_constants(bench: Bench) -> BenchConstants:
 def create_folder(path: Path, purpose: str) -> Lock:
     """Make the folder of a new run, and lock it; the caller must release the lock.
 
-    Args:
-        path: The folder.
-        purpose: The command, for the message to other programs that find the folder in use.
-
     Raises:
         InputError: The folder exists and is not empty, or cannot be made.
         InUseError: Another program uses the folder.
@@ -494,9 +480,7 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation as a recording; ``samples`` is emptied meanwhile, because a long run
-    does not fit into memory twice.
-    """
+    """Return one excitation; ``samples`` is emptied, because it does not fit in memory twice."""
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None
     if partial:
@@ -548,9 +532,7 @@ def _recording(
 
 
 def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[str]]:
-    """Return the times of the samples, s, and notes on the clocks; the clock channels are removed
-    from ``samples``.
-    """
+    """Return the times of the samples, s, and notes on the clocks, which leave ``samples``."""
     time, device_time = samples.pop("time"), samples.pop("device_time")
     notes = describe(time, samples.pop("host_time"), device_time, encoder_time)
     # The drive's time stamps are those of its latch; the host's times have the jitter of its

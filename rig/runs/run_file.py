@@ -1,6 +1,4 @@
-"""Reads and fully validates ``run.json`` of this or an older version; the validation is needed
-because users may edit the file.
-"""
+"""Reads ``run.json`` of this or an older version, and validates it: users may edit the file."""
 
 from __future__ import annotations
 
@@ -60,9 +58,7 @@ _MUST_HOLD = {
 
 @functools.cache
 def _adapter(record: type[Any]) -> TypeAdapter[Any]:
-    """Return the validator of a record, which is cached, because its creation takes longer than a
-    validation.
-    """
+    """Return the validator of a record; its creation takes longer than a validation."""
     return TypeAdapter(record)
 
 
@@ -95,9 +91,7 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete a record of an older version, which lacks the keys on hot firings, further
-    recordings or ends of stages.
-    """
+    """Complete a record of an older version."""
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
     if (
@@ -126,9 +120,7 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ended(stage: Any, state: str) -> Any:
-    """Return a stage; if its state is `running` although the run has ended, with the state of the
-    end.
-    """
+    """Return a stage; one that still runs although the run has ended gets that end."""
     return (
         {**stage, "state": state}
         if isinstance(stage, dict) and stage.get("state") == "running"
@@ -137,9 +129,7 @@ def _ended(stage: Any, state: str) -> Any:
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
-    """Return the constants of the bench on which a run was made, from a record that
-    :func:`read_record` has read.
-    """
+    """Return the bench constants of a record that :func:`read_record` has read."""
     burns = record.bench["gas_generator"]
     rebuilt = (
         None
@@ -150,9 +140,7 @@ def recorded_bench(record: RunRecord) -> BenchConstants:
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
-    """Yield the errors that type checks do not find: missing constants, and references to stages or
-    recordings that do not exist.
-    """
+    """Yield missing constants, and references to stages or recordings that do not exist."""
     missing = _BENCH - set(record.bench)
     for name in sorted(missing):
         yield ("bench", name), "missing; state every constant, because a default would not be safe"
@@ -217,10 +205,6 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept.
 
-        Args:
-            folder: The run folder.
-            names: Paths relative to the folder; missing files are left out.
-
         Returns:
             Digests of all sealed files, by name.
 
@@ -271,9 +255,7 @@ def partial_names(dataset: Dataset) -> list[str]:
 
 
 def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
-    """Return the warning of a result from recordings that were not finished; empty if all were
-    finished.
-    """
+    """Return the warning on recordings that were not finished; empty if all were."""
     names = partial_names(dataset)
     if not names:
         return ()
@@ -286,9 +268,7 @@ def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
 
 
 def without_partial(dataset: Dataset) -> str:
-    """Return the remedy of an error that an unfinished recording may cause, if finished recordings
-    exist as well.
-    """
+    """Return the remedy of an error that an unfinished recording may cause."""
     finished = any(not recording.partial for recording in dataset.recordings)
     return (
         "; without --partial, only finished excitations are used"

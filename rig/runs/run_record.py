@@ -9,8 +9,10 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict
 
+from rig.common import provenance
+
 SCHEMA = "loadrig.run/1"
-RUN_FILE = "run.json"
+RUN_FILE = provenance.RUN_FILE
 RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
@@ -227,6 +229,17 @@ class RunRecord:
     stale: int = 0
     seconds: float = 0.0
     schema: str = SCHEMA
+
+    @property
+    def operators(self) -> list[str]:
+        """Names of the operators of the recordings, else of the run, each once."""
+        names = [part.operator for part in self.parts if part.operator]
+        return list(dict.fromkeys(names or filter(None, [self.operator])))
+
+    @property
+    def operators_words(self) -> str:
+        """The operators as text."""
+        return ", ".join(self.operators) or "not given"
 
     def stage_ended(self, state: str) -> None:
         """Set the state of the current stage, if there is one, at the end of the run with state

@@ -13,9 +13,9 @@ import psutil
 
 from rig.results.prove import judge as judging
 from rig.results.prove import run
-from rig.results.prove.generate import Sealed
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import FAMILIES
+from rig.results.prove.truth import Sealed
 
 DIES = "PROOF_PARTS_DIES"
 """Variable with a file: the first worker that does not find it makes it and is killed."""

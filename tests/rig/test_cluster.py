@@ -19,7 +19,7 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import cluster, run
 from rig.results.prove.engine import Processes, bundle
-from rig.results.prove.interchange import begin_from, diagnose_all, score_all
+from rig.results.prove.run import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
 from tests.rig.workers import parent
 

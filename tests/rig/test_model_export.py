@@ -17,7 +17,7 @@ from identification.diagnosis.result import Curve
 from identification.effects import EFFECTS, MOTION
 from identification.export.model import CorrectedModel, carried
 from identification.recording import Bench, Recording
-from rig.results.diagnose.model_export import python_text, yaml_text
+from rig.results.diagnose.exports import python_text, yaml_text
 
 PARAMETERS = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,

@@ -45,7 +45,9 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
             )
         )
         patch.setattr(figures, "RAMP_SEQUENCE", str(short))
-        return figures.ramp_exhibits(figures.run_ramps(scratch, model, 3))
+        return figures.ramp_exhibits(
+            *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, 3)
+        )
 
 
 def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list[Exhibit]) -> None:
@@ -146,7 +148,9 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
     known = tmp_path / "known.json"
     known.write_text("{}")
     model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
-    made = figures.compensation_exhibit(*figures.run_sines(tmp_path, model, 5))
+    made = figures.compensation_exhibit(
+        *figures.run_both(figures.SINE_BENCH, figures.SINE_SEQUENCE, tmp_path, model, 5)
+    )
     data = numbers(made)
     for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
         before, after = (

@@ -15,7 +15,6 @@ from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
-from rig.results.prove.row import row_of
 from rig.results.prove.run import FAMILIES
 from rig.results.prove.score import confusion, power, rate, score
 from rig.results.prove.truth import unseal
@@ -299,8 +298,8 @@ def test_a_damaged_proof_is_not_gone_on_with(
 @pytest.mark.usefixtures("quick")
 def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) -> None:
     proof = proving.begin(tmp_path, 3, SEED)
-    path = proof.seals[0].truth
+    path = proof.rigs[0].truth
     path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
     with pytest.raises(InputError, match="the truth was changed"):
         proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)
-    assert not proof.row_file(1).exists()
+    assert not proof.file("rows", proof.rigs[0]).exists()

@@ -11,11 +11,10 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.prove import interchange as judging
+from rig.results.prove import run as judging
 from rig.results.prove.engine import Processes
-from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.judge import Judgement
-from rig.results.prove.run import SUMS_FILE, write_sums
+from rig.results.prove.run import SUMS_FILE, sealed_rigs, write_sums
 from rig.results.prove.score import score
 from rig.results.prove.truth import load_truth, unseal
 
@@ -75,13 +74,13 @@ def no_oracle(source: Path, names: Sequence[str]) -> None:
     return None
 
 
-def diagnosed(theirs: Path, out: Path, rigs: int = 600) -> judging.FromProof:
+def diagnosed(theirs: Path, out: Path, rigs: int = 600) -> judging.Proof:
     proof = judging.begin_from(out, rigs, 1, theirs)
     judging.diagnose_all(proof, judge, ENGINE, no_progress)
     return proof
 
 
-def rows_of(proof: judging.FromProof) -> list[dict[str, Any]]:
+def rows_of(proof: judging.Proof) -> list[dict[str, Any]]:
     return judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
 
 
@@ -213,16 +212,14 @@ def test_own_trials_are_sealed_as_others_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Short recordings, as only the files are looked at."""
-    from rig.results.prove import interchange
+    from rig.results.prove import run
 
     def short(gravity: bool) -> Any:
         return tuple(e._replace(command=e.command[:400]) for e in plan(gravity))
 
-    plan = interchange.experiments
-    monkeypatch.setattr(interchange, "experiments", short)
-    monkeypatch.setattr(
-        interchange, "assignment", lambda rigs, seed: [("one", ("cogging",))] * rigs
-    )
+    plan = run.experiments
+    monkeypatch.setattr(run, "experiments", short)
+    monkeypatch.setattr(run, "assignment", lambda rigs, seed: [("one", ("cogging",))] * rigs)
     home = tmp_path / "sealed-here"
     assert status(["prove", "--seal", str(home), "--rigs", "1", "--seed", "4"]) == 0
     (sealed,) = sealed_rigs(home)

@@ -24,11 +24,11 @@ from rig.results.prove.gas_simulate import (
     draw_gas,
     gas_experiments,
 )
-from rig.results.prove.generate import as_recorded
 from rig.results.prove.judge import Judgement
 from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
+    as_recorded,
     campaign,
     floors,
     left_over,

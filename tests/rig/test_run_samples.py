@@ -14,7 +14,7 @@ from rig.common.sample import Sample
 from rig.common.timing import EDGES_US, RESOLUTION, Histogram, Timing, summary
 from rig.runs import run
 from rig.runs.mcap import reader as mcap_stream
-from rig.runs.mcap.reader import DamageError, read_run, sample_blocks
+from rig.runs.mcap.reader import DamageError, read_run, run_items
 from rig.runs.recorder import open_recorder
 from rig.runs.run import describe, drift_ppm
 from rig.runs.run_record import Load, SegmentRecord
@@ -82,7 +82,7 @@ def test_a_file_cut_short_is_damage_and_read_at_once(recording: Path, cut: float
     data = recording.read_bytes()
     recording.write_bytes(data[: int(cut * len(data))])
     with pytest.raises(DamageError):
-        list(sample_blocks(recording, ["time"]))
+        list(run_items(recording, ["time"], only_samples=True))
     found, damage = run.by_segment(recording, [segment(1, 1000)], whole=True)
     assert damage is not None
     assert len(found[1]["time"]) == min(

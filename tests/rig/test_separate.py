@@ -12,7 +12,7 @@ from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
-from rig.results.diagnose.separate import Room, recipes, separating_sequence
+from rig.results.diagnose.exports import Room, recipes, separating_sequence
 
 BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
 """Effects that only another supply voltage, or the encoder moved by hand, splits from their

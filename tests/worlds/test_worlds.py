@@ -28,8 +28,7 @@ from benchmarks.worlds.torque import Course
 from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.cli.entry import status
 from rig.results.prove.engine import Processes
-from rig.results.prove.interchange import sealed_rigs
-from rig.results.prove.run import SUMS_FILE
+from rig.results.prove.run import SUMS_FILE, sealed_rigs
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
 from tests.worlds.test_plants import ODE, carriage

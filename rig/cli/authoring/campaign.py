@@ -35,13 +35,7 @@ NONE: Final = "-"
 
 @dataclass(frozen=True)
 class DataFile:
-    """A recording made elsewhere.
-
-    Attributes:
-        path: The file.
-        names: Names of the columns of the file.
-        mass_kg: Mass on the lever according to its file name; 0 for none.
-    """
+    """A recording made elsewhere."""
 
     path: Path
     names: tuple[str, ...]
@@ -152,12 +146,12 @@ def _channel_questions(channel: str, files: Sequence[DataFile]) -> tuple[Questio
 
     def column(answers: Mapping[str, Any]) -> str:
         """Return the guess if it is the same for every file."""
-        guesses = {guess_of(file, linear(answers)).get(channel) for file in files}
+        guesses = {_guess_of(file, linear(answers)).get(channel) for file in files}
         guess = guesses.pop()
         return NONE if guess is None or guesses else str(guess.column)
 
     def scale(answers: Mapping[str, Any]) -> float:
-        found = column_of(answers[channel], files[0].names)
+        found = _column_of(answers[channel], files[0].names)
         name = files[0].names[found] if isinstance(found, int) else found
         return scale_of(name, channel, linear(answers)) if name else 1.0
 
@@ -165,7 +159,7 @@ def _channel_questions(channel: str, files: Sequence[DataFile]) -> tuple[Questio
         lacking = [
             f"{file.path.name} has no column {answer!r}; it has {', '.join(file.names)}"
             for file in files
-            if answer != NONE and column_of(answer, file.names) is None
+            if answer != NONE and _column_of(answer, file.names) is None
         ]
         return "; ".join(lacking) or None
 
@@ -194,15 +188,12 @@ def linear(answers: Mapping[str, Any]) -> bool:
     return bool(answers["motion"] == "linear")
 
 
-def guess_of(file: DataFile, linear: bool) -> dict[str, Guess]:
-    """Return the channels that the columns of a file may contain."""
+def _guess_of(file: DataFile, linear: bool) -> dict[str, Guess]:
     return guess_channels(file.names, linear)
 
 
-def column_of(answer: str, names: Sequence[str]) -> str | int | None:
-    """Return the column selected by an answer, by name or else by index, or None if the answer is
-    `none`.
-    """
+def _column_of(answer: str, names: Sequence[str]) -> str | int | None:
+    """Return the column of an answer, by name or else by index; None for none."""
     if answer in names:
         return answer
     if answer.isdecimal() and int(answer) < len(names):
@@ -235,10 +226,7 @@ def read_names(paths: Sequence[Path]) -> list[DataFile]:
 
 
 def campaign_text(
-    path: Path,
-    files: Sequence[DataFile],
-    answers: Answers,
-    read: Mapping[str, Any] | None = None,
+    path: Path, files: Sequence[DataFile], answers: Answers, read: Mapping[str, Any] | None = None
 ) -> str:
     """Return the text of a campaign file without its first line.
 
@@ -264,11 +252,11 @@ def campaign_text(
 def _channels(file: DataFile, answers: Answers) -> dict[str, dict[str, Any]]:
     columns: dict[str, tuple[str | int, float]] = {}
     for channel in ASKED:
-        column = None if answers[channel] == NONE else column_of(answers[channel], file.names)
+        column = None if answers[channel] == NONE else _column_of(answers[channel], file.names)
         if column is not None:
             columns[channel] = column, answers[f"{channel}_scale"]
     taken = {column for column, _ in columns.values()}
-    for channel, guess in guess_of(file, linear(answers)).items():
+    for channel, guess in _guess_of(file, linear(answers)).items():
         if channel not in ASKED and guess.column not in taken:
             columns[channel] = guess.column, guess.scale
     return {

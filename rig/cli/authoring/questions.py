@@ -1,6 +1,4 @@
-"""Questions whose answers fill a template; the answers come from the terminal, from options or from
-defaults.
-"""
+"""Questions whose answers, typed, given as options or default, fill a template."""
 
 from __future__ import annotations
 
@@ -33,12 +31,7 @@ POSITIVE = Quantity(min=0.0, min_open=True)
 
 
 class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of click have no type argument
-    """Values separated by commas, numbers also by blanks; `none` and an empty answer are an empty
-    list.
-
-    Args:
-        each: Type of a value.
-    """
+    """Values separated by commas, numbers also by blanks; `none` is an empty list."""
 
     def __init__(self, each: click.ParamType = POSITIVE) -> None:  # type: ignore[type-arg]
         self.name = "numbers" if isinstance(each, Number) else "names"

@@ -76,12 +76,7 @@ _SECTION = re.compile(r"^[A-Z]\w+:$")
 
 
 class Meaning(NamedTuple):
-    """Description and unit of one field.
-
-    Attributes:
-        text: Description of one or more sentences.
-        unit: Unit; empty if the field has none.
-    """
+    """Description and unit of one field."""
 
     text: str
     unit: str
@@ -169,11 +164,7 @@ _SHORT_CHANNEL: Final = {
 
 
 def json_schema(kind: str) -> Tree:
-    """Return the JSON Schema of one kind of file.
-
-    Args:
-        kind: One of :data:`KINDS`.
-    """
+    """Return the JSON Schema of one kind of file."""
     tree = KINDS[kind].model_json_schema(ref_template="#/definitions/{model}")
     definitions: Tree = tree.pop("$defs", {})
     for node in (tree, *definitions.values()):
@@ -224,11 +215,7 @@ def _walk(node: Any, change: Callable[[Tree], None]) -> None:
 
 
 def _tidy(node: Tree) -> None:
-    """Remove the parts that an editor does not use, and use only keywords of draft 7.
-
-    Without the key that discriminates them, the branches of a union overlap, and the keyword
-    ``oneOf`` would refuse files that the program accepts. Titles of keys only repeat their names.
-    """
+    """Use only keywords of draft 7; as ``oneOf`` overlapping branches would refuse good files."""
     if isinstance(branches := node.get("oneOf"), list) and any("$ref" in item for item in branches):
         node["anyOf"] = node.pop("oneOf")
     node.pop("discriminator", None)

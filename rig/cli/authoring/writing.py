@@ -1,6 +1,4 @@
-"""Writes a new file from its template: the file is validated before it gets its name, and never
-replaces an existing file.
-"""
+"""Writes a new file from its template: validated before it is named, never over another."""
 
 from __future__ import annotations
 
@@ -22,12 +20,8 @@ FOLDER: Final = "schemas"
 _OWN: Final = '"$id": "urn:loadrig:'
 
 
-def first_line(kind: str) -> str:
-    """Return the comment that names the schema of a file, relative to the file itself.
-
-    A relative path stays valid when the folder is moved or shared, and needs neither network nor an
-    installed program.
-    """
+def _first_line(kind: str) -> str:
+    """Return the comment that names a file's schema, relative to the file."""
     return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
 
 
@@ -38,7 +32,7 @@ def write_schema(kind: str, folder: Path) -> Path:
         InputError: The schema cannot be written, or another file of that name is there.
     """
     path = folder / f"{kind}.schema.json"
-    require_schema_place(path)
+    _require_schema_place(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(json_schema(kind), indent=1) + "\n")
@@ -49,13 +43,8 @@ def write_schema(kind: str, folder: Path) -> Path:
     return path
 
 
-def require_schema_place(path: Path) -> None:
-    """Check that a schema can be written into a folder.
-
-    Raises:
-        InputError: The folder cannot be made, or the file exists and is not a schema of this
-            program.
-    """
+def _require_schema_place(path: Path) -> None:
+    """Check that a schema can be written here."""
     require_folder(path.parent, "--out")
     try:
         if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
@@ -115,18 +104,11 @@ def require_new(path: Path, kind: str) -> None:
             "file away"
         )
     require_file(path, "PATH")
-    require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
+    _require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
     """Write a file that was made from answers, and its schema.
-
-    Args:
-        path: The file.
-        kind: Kind of file, one of :data:`rig.cli.authoring.schema.KINDS`.
-        body: Text of the file without its first line.
-        load: Reads the file and raises InputError if it is not valid; called before the file gets
-            its name.
 
     Returns:
         Description of the written files.
@@ -138,7 +120,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
     require_new(path, kind)
     try:
         with replacing(path) as draft:
-            draft.write_text(f"{first_line(kind)}\n{body}", encoding="utf-8")
+            draft.write_text(f"{_first_line(kind)}\n{body}", encoding="utf-8")
             try:
                 load(draft)
             except InputError as error:

@@ -18,7 +18,7 @@ from rig.cli.aftermath import status_of
 from rig.cli.crash import note_drive
 from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED, DONE
 from rig.common.errors import Cause, InputError
-from rig.common.places import require_file, write_asked
+from rig.common.places import write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
@@ -69,7 +69,6 @@ def check(bench: str, seed: int, json_file: Path | None) -> int:
     Example:
       rig check practical
     """
-    require_file(json_file, "--json")
     document = load_bench(bench)
     click.echo(bench_line(document))
     found = require_connectable(document)
@@ -106,7 +105,6 @@ def off(bench: str, json_file: Path | None) -> int:
     Example:
       rig off practical
     """
-    require_file(json_file, "--json")
     document = load_bench(bench)
     with closing(Screen()) as screen, StopButton() as stop:
         screen.say(bench_line(document), err=False)
@@ -117,9 +115,7 @@ def off(bench: str, json_file: Path | None) -> int:
 
 
 def _interruptible(document: Document[Bench], screen: Screen, stop: StopButton) -> Off:
-    """Make the bench safe in a thread of its own, so that an attempt on a dead line delays neither
-    the answer to a Ctrl-C nor the end after a second one.
-    """
+    """Make the bench safe in a thread, so that a dead line does not delay the answer to Ctrl-C."""
     said: SimpleQueue[str] = SimpleQueue()
     found: list[Off] = []
     failed: list[BaseException] = []
@@ -189,7 +185,6 @@ def jog(
     Example:
       rig jog practical --to 10 --to 0 --speed 5
     """
-    require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
     require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))

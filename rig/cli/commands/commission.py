@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -18,6 +19,8 @@ from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
+from rig.commissioning.record import StepRecord
+from rig.commissioning.record import Verdict as Found
 from rig.commissioning.setup import (
     FASTEST_DEG_S,
     AutomaticInterview,
@@ -27,15 +30,31 @@ from rig.commissioning.setup import (
 )
 from rig.common.errors import InputError
 from rig.common.places import require_file, require_folder, write_asked, write_text
-from rig.common.provenance import utc_now
+from rig.common.provenance import sha256, utc_now, versions
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document, packaged
 from rig.control.attendance import connected
 from rig.control.remote import stoppable
 from rig.fault_injection.scene import Scene
-from rig.results.commission import commission_document, commission_record, difference
-from rig.results.document import PAGE_FILE, write_page, write_record, write_texts
-from rig.results.document import text as shown
+from rig.results.document import (
+    PAGE_FILE,
+    Items,
+    Note,
+    Section,
+    Table,
+    write_page,
+    write_record,
+    write_texts,
+)
+from rig.results.document import (
+    Document as Page,
+)
+from rig.results.document import (
+    Verdict as Headline,
+)
+from rig.results.document import (
+    text as shown,
+)
 from rig.runs.catalogue.index import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
@@ -48,6 +67,7 @@ from rig.wiring.preflight import require_startable
 
 RECORD_FILE = COMMISSION_JSON
 PATCH_FILE = "bench.patch"
+COMMISSION_SCHEMA = "loadrig.commission/1"
 
 
 @click.command("commission")
@@ -148,7 +168,6 @@ def command(
       rig commission practical --yes --mistake rpm
       rig commission practical --yes --angle 0 --home 37
     """
-    require_file(json_file, "--json")
     document = load_bench(bench)
     click.echo(bench_line(document))
     _require_allowed(document, yes, mistake)
@@ -257,9 +276,7 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return the function that opens a bench, and shows once what nothing protects; the function
-    builds a mistake into the simulated devices if one is requested.
-    """
+    """Return the function that opens a bench, with a mistake built in if one is requested."""
     told: list[str] = []
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
@@ -294,7 +311,11 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)
         return ""
-    write_texts({PATCH_FILE: difference(before, result.text, document.path.name)}, folder)
+    name = document.path.name
+    old, new = (text.splitlines(keepends=True) for text in (before, result.text))
+    # A unified diff that ``patch`` accepts.
+    patch = "".join(difflib.unified_diff(old, new, fromfile=name, tofile=name))
+    write_texts({PATCH_FILE: patch}, folder)
     try:
         write_text(new_file, result.text)
     except OSError as error:
@@ -303,3 +324,77 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
             "the corrections"
         ) from error
     return str(new_file)
+
+
+def commission_record(
+    result: Commissioning, bench: Document[Bench], seed: int, operator: str | None, new_file: str
+) -> dict[str, Any]:
+    """Return the record for the result file."""
+    return {
+        "schema": COMMISSION_SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "versions": versions(),
+        "seed": seed,
+        "operator": operator,
+        "bench": bench.value.name,
+        "bench_file": str(bench.path),
+        "sha256": sha256(bench.path.read_bytes()),
+        "real": not bench.value.simulated,
+        "new_bench_file": new_file or None,
+        **result.record(),
+    }
+
+
+def commission_document(
+    result: Commissioning, bench: Document[Bench], operator: str | None, new_file: str
+) -> Page:
+    """Return the protocol as a document."""
+    done = result.ending is Ending.DONE
+    good = done and not result.not_homed
+    drive = "the drive was never energised" if result.safe is None else result.safe.message
+    words = result.words or "All steps are done."
+    if not done:
+        found = f"Not finished: {result.ending.value}"
+    elif result.not_homed:
+        found = "Not as asked for: no homing"
+        words = f"{result.not_homed[0].upper()}{result.not_homed[1:]}."
+    elif result.untried:
+        found = f"Good; not tried: {', '.join(result.untried)}"
+    else:
+        found = "Every step was good"
+    statement = f"{words} {drive[0].upper()}{drive[1:]}."
+    headline = Headline(found, statement, "good" if good else "found")
+    summary = Section("Commissioning", (headline, *_changes(result, new_file)))
+    last = len(result.sessions)
+    sections = [summary]
+    for number, steps in enumerate(result.sessions, start=1):
+        title = f"Steps, connection {number} of {last}" if last > 1 else "Steps"
+        sections.append(Section(title, tuple(_step(step) for step in steps)))
+    kind = "simulated" if bench.value.simulated else "REAL"
+    who = f", by {operator}" if operator else ""
+    subtitle = f"{kind} bench, {bench.path}{who}, {utc_now():%Y-%m-%d %H:%M} UTC"
+    return Page(f"Commissioning of {bench.value.name}", subtitle, (summary,), tuple(sections))
+
+
+def _changes(result: Commissioning, new_file: str) -> tuple[Items | Note, ...]:
+    if not result.changes:
+        return (Note("no value of the bench file had to be corrected"),)
+    shown = Items(tuple((f"{c.section}.{c.key}", str(c.value)) for c in result.changes))
+    place = Note(f"with these values: {new_file}" if new_file else "no new bench file was written")
+    return (Note("corrected values:"), shown, place)
+
+
+def _step(step: StepRecord) -> Section:
+    rows = tuple((item.name, item.value, item.unit) for item in step.measured)
+    measured = (Table(("measured", "value", "unit"), rows, (1,)),) if rows else ()
+    consent = f" Agreed to: {step.consent}." if step.consent else ""
+    words = f"{step.verdict.value}: {step.words}"
+    wrong = step.verdict is Found.WRONG
+    return Section(
+        step.name,
+        (
+            Note(f"{step.announced}{consent}", "aside"),
+            *measured,
+            Note(words, "warning" if wrong else "plain"),
+        ),
+    )

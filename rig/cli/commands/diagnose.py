@@ -1,6 +1,4 @@
-"""``rig diagnose``: locates the mismatch, identifies the missing physics, adds this physics to the
-model, and shows the errors before and after.
-"""
+"""``rig diagnose`` and ``rig effects``: the missing physics, and the catalogue of effects."""
 
 from __future__ import annotations
 
@@ -76,7 +74,7 @@ def diagnose(
             raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
         return _print_observable(source, seed, bandwidth, json_file)
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import is_folder, require_file, require_folder, source_name
+    from rig.common.places import is_folder, require_folder, source_name
     from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
     from rig.results.diagnose.document import diagnose_document
     from rig.results.diagnose.exports import exports
@@ -88,7 +86,6 @@ def diagnose(
         source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed")
     )
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
     with ShareBar() as bar:
         outcome = diagnose_source(source, seed, bandwidth, bar, True, gas, partial=partial)
         bar("writing the report", 1.0)
@@ -110,11 +107,10 @@ def _print_observable(
     source: Path, seed: int, bandwidth: float | None, json_file: Path | None
 ) -> None:
     """Print which effects a source can show, and write the record if requested."""
-    from rig.common.places import require_file, write_json
+    from rig.common.places import write_json
     from rig.results.diagnose.document import observable_document, observe_source
     from rig.results.document import text
 
-    require_file(json_file, "--json")
     seen = observe_source(source, seed, bandwidth)
     if json_file is not None:
         write_json(json_file, seen.record())
@@ -134,10 +130,9 @@ def effects(name: str | None, json_file: Path | None) -> None:
       rig effects backlash
     """
     from identification.effects import EFFECTS
-    from rig.common.places import require_file, write_json
+    from rig.common.places import write_json
     from rig.results.diagnose.document import effects_record, entry_of, overview, whole
 
-    require_file(json_file, "--json")
     shown = [entry_of(name)] if name else list(EFFECTS.values())
     click.echo(whole(shown[0]) if name else overview(shown))
     if json_file is not None:

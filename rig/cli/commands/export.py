@@ -101,11 +101,7 @@ def _traffic(source: Path, path: Path, kind: str) -> int:
 
 
 def _require_free(places: Iterable[Path]) -> None:
-    """Check that no existing file would be overwritten.
-
-    Raises:
-        InputError: A file exists; the message names every file that exists.
-    """
+    """Refuse to overwrite files."""
     taken = [place for place in places if place.exists()]
     if taken:
         raise InputError(f"{place}: exists already; give --out another name" for place in taken)
@@ -125,7 +121,6 @@ def recover(run: Path, json_file: Path | None) -> int:
     Example:
       rig recover runs/20261120T101500Z-figure10
     """
-    require_file(json_file, "--json")
     until_the_end(hold_folder(run, "rig recover"))
     try:
         recovery = mend(run)

@@ -138,7 +138,7 @@ def identify(
             "--method paper out"
         )
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import is_folder, require_file, require_folder, source_name
+    from rig.common.places import is_folder, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
     from rig.results.document import PAGE_FILE, text, write_page, write_record
     from rig.results.identify.document import identify_document
@@ -154,7 +154,6 @@ def identify(
 
     folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
     request = Request(_METHODS[method], bandwidth, **options)
     with ShareBar() as bar:
         outcome = identify_source(source, request, bar)
@@ -179,7 +178,7 @@ def _plan(
     json_file: Path | None,
 ) -> None:
     """Report which parameters a sequence would determine, and write a better sequence."""
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
     from rig.results.document import text, write_record, write_texts
@@ -195,7 +194,6 @@ def _plan(
 
     folder = out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     with ShareBar() as bar:
         experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
@@ -242,7 +240,7 @@ def simulate(
       rig simulate later.yaml --result found.json
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_file, require_folder, source_name
+    from rig.common.places import require_folder, source_name
     from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
     from rig.results.identify.simulate import (
         RESULT_FILE,
@@ -255,7 +253,6 @@ def simulate(
 
     folder = out or Path(f"{source_name(source)}-simulated")
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
     with ShareBar() as bar:
         found = simulate_source(source, results, bandwidth, bar)
         bar("writing the report", 1.0)

@@ -28,9 +28,7 @@ from rig.terminal.screen import Screen
 
 _PATH = click.argument("path", type=click.Path(path_type=Path))
 _YES = click.option(
-    "--yes",
-    is_flag=True,
-    help="Ask no questions: values that no option gives have their defaults.",
+    "--yes", is_flag=True, help="Ask no questions: values that no option gives have their defaults."
 )
 _GRAVITY_M_S2: Final[float] = Constants.model_fields["gravity_m_s2"].default
 _SPEED_SHARE, _GREATEST_SPEED_DEG_S = 0.8, 120.0
@@ -94,11 +92,7 @@ def _simulated(answers: Mapping[str, Any], part: str) -> dict[str, float]:
 
 _WHOLE: Final = click.IntRange(1)
 _WEIGHTS: Final = Question(
-    "weights",
-    "Weights to hang in turn after the empty lever, or none",
-    "kg",
-    (2.0, 5.0),
-    Listed(),
+    "weights", "Weights to hang in turn after the empty lever, or none", "kg", (2.0, 5.0), Listed()
 )
 BENCH: Final = (
     Question(
@@ -262,7 +256,7 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
         path,
         "bench",
         lambda: BENCH,
-        lambda answers: fill("bench", bench_values(_name(path), answers)),
+        lambda answers: fill("bench", _bench_values(_name(path), answers)),
         load_bench,
         given,
         yes,
@@ -387,12 +381,8 @@ def _name(path: Path) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in path.stem)
 
 
-def bench_values(name: str, answers: Answers) -> dict[str, Any]:
-    """Return the values for the template of a bench file.
-
-    The friction of a simulated bench is in proportion to the torque limit; the joint's inertia
-    includes the rotor.
-    """
+def _bench_values(name: str, answers: Answers) -> dict[str, Any]:
+    """Return the values for the template of a bench file."""
     real, heaviest = _real(answers), max(answers["weights"], default=0.0)
     values: dict[str, Any] = {
         "interface": "mock",
@@ -424,12 +414,7 @@ def bench_values(name: str, answers: Answers) -> dict[str, Any]:
 
 
 def remarks(answers: Answers, given: Mapping[str, Any]) -> list[str]:
-    """Return remarks on the answers of ``rig new bench`` that are not part of the file.
-
-    Args:
-        answers: The answers.
-        given: Answers that the user gave; the others are defaults.
-    """
+    """Return remarks on the answers of ``rig new bench`` that are not part of the file."""
     found = []
     torque = _torque_N_m(answers)
     heaviest = max(answers["weights"], default=0.0)

@@ -49,7 +49,7 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
       rig paper --seeds 3
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import require_folder
     from rig.common.provenance import Provenance
     from rig.results.document import text, write_page, write_record, write_texts
     from rig.results.paper.figures import data_files
@@ -65,7 +65,6 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     from rig.terminal.output import ShareBar
 
     require_folder(out, "--out")
-    require_file(json_file, "--json")
     started = time.perf_counter()
     with ShareBar() as bar:
         shown = study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
@@ -158,12 +157,11 @@ def prove(
       rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import require_folder
     from rig.results.prove.engine import engine
 
     _require_one_task(home, source, gas)
     require_folder(out, "--out")
-    require_file(json_file, "--json")
     started = time.perf_counter()
     try:
         with engine(jobs, workers, scheduler) as shared_out:
@@ -221,15 +219,15 @@ def _prove(
     from rig.terminal.output import ShareBar
 
     proof = begin(out, rigs, seed, GAS if gas else MOTION)
-    for sealed in proof.seals:
-        click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
+    for sealed in proof.rigs:
+        click.echo(f"rig {sealed.name} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
         return work(proof, judge, engine, keep, bar)
 
 
 def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
     """Draw trials, seal them into a folder, and print their digests."""
-    from rig.results.prove.interchange import seal_own
+    from rig.results.prove.run import seal_own
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
@@ -240,8 +238,8 @@ def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
     """Diagnose and score rigs that other programs have sealed; return their rows."""
-    from rig.results.prove.interchange import begin_from, diagnose_all, score_all
     from rig.results.prove.judge import judge, oracle_of
+    from rig.results.prove.run import begin_from, diagnose_all, score_all
     from rig.results.prove.simulate import floors_of
     from rig.terminal.output import ShareBar
 

@@ -15,7 +15,7 @@ from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
 from rig.common.locks import OWNER_FILE, hold_folder
-from rig.common.places import require_file, require_folder, write_asked
+from rig.common.places import require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
@@ -27,11 +27,7 @@ from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
-from rig.planning.predicted_load import (
-    PredictedLoad,
-    friction_model,
-    of_another_bench,
-)
+from rig.planning.predicted_load import PredictedLoad, friction_model, of_another_bench
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
@@ -95,8 +91,7 @@ from rig.wiring.preflight import require_startable
     "prompt_timeout_s",
     type=shared.Number(min=0, min_open=True),
     help="Seconds to wait for an answer; then the run stops with status 3. [default: "
-    "prompt_timeout_s of "
-    "the bench file]",
+    "prompt_timeout_s of the bench file]",
 )
 @shared.in_console
 @shared.acceptance("those of the sequence")
@@ -140,8 +135,6 @@ def run(
       rig run slow_ramp --yes --feedforward runs/demo/identify.json --out runs/compensated
     """
     # Everything that can be checked before any motion is checked first.
-    require_file(json_file, "--json")
-    require_file(junit_file, "--junit")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
@@ -232,8 +225,6 @@ def resume(
     Example:
       rig resume runs/20261120T101500Z-figure10
     """
-    require_file(json_file, "--json")
-    require_file(junit_file, "--junit")
     given = given_acceptance(acceptance)
     until_the_end(hold_folder(run, "rig resume"))
     try:

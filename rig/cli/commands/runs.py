@@ -89,7 +89,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 def command() -> None:
     """List, show, compare, accept and verify recorded runs.
 
-    An index beside the run folders (.runs.sqlite) makes a repeated command faster. The index can be
+    An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
 
     \b
@@ -283,11 +283,9 @@ def accept(
     """
     from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
-    from rig.common.places import require_file, write_asked
+    from rig.common.places import write_asked
     from rig.wiring.devices import until_the_end
 
-    require_file(json_file, "--json")
-    require_file(junit_file, "--junit")
     _one(run)
     limits, source = limits_for(run, acceptance)
     until_the_end(hold_folder(run, "rig runs accept"))
@@ -318,11 +316,7 @@ def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[E
 
 
 def _one(run: Path) -> Entry:
-    """Return the entry of one run folder.
-
-    Raises:
-        InputError: The folder is not a run folder.
-    """
+    """Return the entry of one run folder."""
     from rig.runs.catalogue.index import list_runs, signature_of
 
     if signature_of(str(run)) is None:
@@ -336,9 +330,8 @@ def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> Non
     """Write the result file if requested."""
     if json_file is None:
         return
-    from rig.common.places import require_file, write_asked
+    from rig.common.places import write_asked
 
-    require_file(json_file, "--json")
     write_asked(json_file, made())
 
 

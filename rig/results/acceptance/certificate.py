@@ -1,6 +1,4 @@
-"""Makes the certificate of a run: its content as a document, as one HTML page that prints on one
-sheet, and as a PDF of one page.
-"""
+"""The certificate of a run: as a document, as an HTML page for one sheet, and as a PDF page."""
 
 from __future__ import annotations
 
@@ -14,7 +12,6 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import matplotlib.image
 import numpy as np
 from matplotlib import rc_context
@@ -26,7 +23,7 @@ from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import replacing
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
-from rig.common.provenance import sha256_file, utc_now, versions
+from rig.common.provenance import heading, plain, sha256_file
 from rig.common.tables import interval, number, table
 from rig.common.text import valid
 from rig.config.acceptance import Limit
@@ -49,6 +46,7 @@ from rig.results.document import (
     SideBySide,
     Table,
     Verdict,
+    filled,
     write_record,
     write_texts,
 )
@@ -72,17 +70,7 @@ def make_certificate(
     digests: Mapping[str, str],
     made: str,
 ) -> Document:
-    """Return the certificate of a run: verdict and figure as its summary, and a section for each
-    table.
-
-    Args:
-        folder: The run folder.
-        bench: Name of the bench.
-        evidence: Values of the run that the limits apply to.
-        checks: Verdicts on the limits of the run.
-        digests: SHA-256 of the files of the run folder, by file name.
-        made: Program and time.
-    """
+    """Return the certificate of a run: verdict and figure, then a section for each table."""
     record = evidence.record
     good = accepted(checks)
     verdict = Verdict(
@@ -114,11 +102,10 @@ def make_certificate(
 
 
 def _facts(folder: Path, bench: str, record: RunRecord) -> Iterator[tuple[str, str]]:
-    operators = [part.operator for part in record.parts if part.operator]
     yield "bench", f"{bench} ({'SIMULATED' if record.simulated else 'REAL BENCH'})"
     yield "sequence", record.name
     yield "begun", f"{_moment(record.created)} UTC"
-    yield "operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"
+    yield "operator", record.operators_words
     yield "run folder", folder.resolve().name
     yield "recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"
     yield "ended", record.state
@@ -150,9 +137,7 @@ def _interruptions(record: RunRecord) -> str:
 
 
 def _course(record: RunRecord) -> Table | None:
-    """Return when each recording began and ended, and how; None for a run without an
-    interruption.
-    """
+    """Return how each recording began and ended; None for a run without an interruption."""
     if len(record.parts) == 1 and record.parts[0].state == Ending.DONE.value:
         return None
     rows = tuple(
@@ -217,9 +202,7 @@ def _calibrations(record: RunRecord) -> Table | Note:
 
 
 def _figure(folder: Path, evidence: Evidence) -> Picture | None:
-    """Return the figure of friction against speed if the run was identified, else the traces of the
-    run.
-    """
+    """Return friction against speed if the run was identified, else its traces."""
     if evidence.constants and (folder / FRICTION_FIGURE).is_file():
         caption = "Friction against speed, measured (dots) and identified (black)"
         return Picture("result", caption, (folder / FRICTION_FIGURE).read_bytes())
@@ -248,18 +231,6 @@ def _overview(dataset: Dataset) -> Figure:
     lower.set_ylabel("motor current (A)")
     lower.set_xlabel("time of the excitations (s)")
     return made
-
-
-def certificate_html(certificate: Document) -> str:
-    """Return the certificate as one self-contained HTML page; all text is escaped."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.results"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("certificate.html.j2").render(it=certificate)
 
 
 _WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210.0, 297.0, 15.0
@@ -308,9 +279,7 @@ def _table_lines(cells: Table) -> list[str]:
 
 
 def certificate_pdf(certificate: Document) -> bytes:
-    """Return the certificate as a PDF of one page (A4, portrait) in a font of equal widths; longer
-    content gets smaller text.
-    """
+    """Return the certificate as a PDF of one A4 page; longer content gets smaller text."""
     (opening,) = certificate.summary
     verdict = next(block for block in opening.blocks if isinstance(block, Verdict))
     lines = [*certificate_lines(certificate), "", *textwrap.wrap(verdict.statement, 100)]
@@ -369,38 +338,15 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 def acceptance_record(
     record: RunRecord, source: str, checks: Sequence[Check], inputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the record of ``rig runs accept --json``.
-
-    Args:
-        record: The run.
-        source: Origin of the limits.
-        checks: The limits, and whether the run met them.
-        inputs: SHA-256 of the files of the run folder, by file name.
-    """
-    known = versions()
+    """Return the record of ``rig runs accept --json``."""
     return {
-        "schema": ACCEPTANCE_SCHEMA,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
+        **heading(ACCEPTANCE_SCHEMA),
         "run": record.name,
         "begun": record.created,
         "verdict": "accepted" if accepted(checks) else "rejected",
         "limits": source,
-        "checks": [_check_record(check) for check in checks],
+        "checks": plain(checks),
         "inputs": [{"file": file, "sha256": digest} for file, digest in inputs.items()],
-    }
-
-
-def _check_record(check: Check) -> dict[str, Any]:
-    return {
-        "limit": check.limit,
-        "passed": check.passed,
-        "words": check.words,
-        "value": check.value,
-        "low": check.low,
-        "high": check.high,
-        "unit": check.unit,
     }
 
 
@@ -457,14 +403,7 @@ def _properties(record: RunRecord, bench: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Result of an acceptance.
-
-    Attributes:
-        checks: The limits, judged.
-        record: The result file.
-        junit: The checks as JUnit XML.
-        folder: The run folder.
-    """
+    """Result of an acceptance."""
 
     checks: tuple[Check, ...]
     record: Mapping[str, Any]
@@ -479,12 +418,6 @@ class Acceptance:
 
 def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:
     """Judge a run, and write result file, certificate and seal into its folder.
-
-    Args:
-        folder: The run folder.
-        limits: The acceptance limits of the run.
-        source: Origin of the limits.
-        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: The folder is not a run folder, or cannot be written.
@@ -501,7 +434,7 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     digests = {**inputs, RESULT_FILE: sha256_file(folder / RESULT_FILE)}
     made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
     certificate = make_certificate(folder, bench, evidence, checks, digests, made)
-    write_texts({CERTIFICATE_PAGE: certificate_html(certificate)}, folder)
+    write_texts({CERTIFICATE_PAGE: filled("certificate.html.j2", certificate)}, folder)
     write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
     seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])

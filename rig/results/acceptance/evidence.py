@@ -110,9 +110,7 @@ def _needs_constants(limit: Limit) -> bool:
 
 
 def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
-    """Return the result of a function. If the function fails, return None, and add the message of
-    the error to the problems; limits that need the result then fail with this message.
-    """
+    """Return the result of a function; if it fails, None, with its message among the problems."""
     try:
         return made()
     except InputError as error:
@@ -200,9 +198,7 @@ class Check:
 
 
 def judge(limits: Sequence[Limit], evidence: Evidence) -> tuple[Check, ...]:
-    """Return a check of completeness, a failed check for each stage whose load changed, and one
-    check for each limit.
-    """
+    """Return checks of completeness and of unchanged loads, and one check for each limit."""
     changed = (
         Check(
             SAME_LOAD,
@@ -248,9 +244,7 @@ def _unknown(limit: Limit, evidence: Evidence, what: str) -> Check:
 
 
 def _range(limit: Range, evidence: Evidence) -> Check:
-    """Judge an identified parameter: its whole 90 % interval must be inside the limits, so that an
-    estimate that is inside by chance does not pass (the rule of ISO 14253-1).
-    """
+    """Judge a parameter: its whole 90 % interval must be inside (the rule of ISO 14253-1)."""
     found = evidence.constants.get(limit.name)
     if found is None:
         return _unknown(limit, evidence, f"{limit.name} was not identified")

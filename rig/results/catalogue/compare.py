@@ -1,6 +1,4 @@
-"""Output of ``rig runs compare`` and ``rig runs trend``: measured values of several runs, the
-identified parameters that differ, and those that change over the runs.
-"""
+"""Output of ``rig runs compare`` and ``rig runs trend``."""
 
 from __future__ import annotations
 
@@ -17,21 +15,20 @@ import numpy as np
 from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Array, Dataset
 from rig.common.errors import InputError
-from rig.common.tables import CHANGED, NO_CHANGE, interval, number
+from rig.common.provenance import heading, plain
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number, picture
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (
     COLUMNS,
     FIGURE,
     cells,
     copies_of,
-    head_record,
     place,
     side_by_side,
     stored_picture,
 )
 from rig.results.catalogue.listing import courses as drawn
 from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table, Verdict
-from rig.results.look import picture
 from rig.results.measured import QUANTITIES, clock_words
 from rig.runs.catalogue.entry import Constant, Details, Entry
 from rig.runs.run import load_run
@@ -59,14 +56,7 @@ _UNITS: Final = {
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured value.
-
-    Attributes:
-        name: Quantity with its statistic.
-        value: Value in ``unit``, or None if it was not recorded.
-        unit: Unit; empty for a count.
-        remark: Remark on the value; empty for no remark.
-    """
+    """One measured value."""
 
     name: str
     value: float | None
@@ -76,14 +66,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class RunFigures:
-    """Measured values of one run.
-
-    Attributes:
-        figures: The values, in the same order for every run.
-        done: Number of stages that are done, of all stages.
-        weights: Verdicts of the weight checks, by stage.
-        problem: Reason why the excitations cannot be read; empty if they were read.
-    """
+    """Measured values of one run."""
 
     figures: tuple[Figure, ...] = ()
     done: str = "-"
@@ -123,13 +106,8 @@ def _figure(record: RunRecord, dataset: Dataset | None, measure: str, statistic:
     return Figure(name, None if value is None else value / scale, unit, remark)
 
 
-def figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
-    """Return the measured values side by side, one column for each run.
-
-    Args:
-        names: Names of the runs.
-        runs: The values of the runs.
-    """
+def _figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
+    """Return the measured values side by side, one column for each run."""
     rows = [
         ("stages done", "", *(each.done for each in runs)),
         ("weight checks", "", *(each.weights for each in runs)),
@@ -151,10 +129,7 @@ def figures_record(run: Path, found: RunFigures) -> dict[str, Any]:
         "stages_done": found.done,
         "weight_checks": found.weights,
         "problem": found.problem,
-        "figures": [
-            {"name": f.name, "value": f.value, "unit": f.unit, "remark": f.remark}
-            for f in found.figures
-        ],
+        "figures": plain(found.figures),
     }
 
 
@@ -163,14 +138,7 @@ COMPARE_SCHEMA = "loadrig.compare/1"
 
 @dataclass(frozen=True)
 class Compared:
-    """One run of a comparison.
-
-    Attributes:
-        run: Run folder, as given.
-        entry: Entry of the run in the catalogue of runs.
-        details: Identified constants of the run.
-        measured: Measured values of the run.
-    """
+    """One run of a comparison."""
 
     run: Path
     entry: Entry
@@ -185,16 +153,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of a parameter of a later run from the same parameter of the first run.
-
-    Attributes:
-        name: Name of the constant.
-        first: Value in the first run.
-        other: Value in the later run, or None if that run did not identify the parameter.
-        change: Difference, or None if one of the values is not known.
-        joint: Half width of the 90 % interval of the difference of two independent estimates, or
-            None if one of the values has no interval.
-    """
+    """Difference of a parameter of a later run from the same parameter of the first run."""
 
     name: str
     first: Constant
@@ -204,9 +163,7 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference of the parameters exceeds its uncertainty, or None if the
-        uncertainty is not known.
-        """
+        """Whether the difference exceeds its uncertainty, or None if that is not known."""
         if self.change is None or self.joint is None:
             return None
         return abs(self.change) > self.joint
@@ -241,10 +198,8 @@ def _difference(name: str, first: Constant, details: Details) -> Difference:
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
-    """Return a comparison as a document: the measured values of all runs side by side, and the
-    constants of each later identified run with those of the first identified run.
-    """
-    table = figures_table(_short(runs), [each.measured for each in runs])
+    """Return measured values side by side, and constants against the first identified run."""
+    table = _figures_table(_short(runs), [each.measured for each in runs])
     head = [
         Section("", (_facts(runs),)),
         Section("Measured values", (table, *_unread(runs), *_not_identified(runs))),
@@ -396,7 +351,7 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
     identified = [each for each in runs if each.identified]
     first = identified[0] if identified else runs[0]
     return {
-        **head_record(COMPARE_SCHEMA),
+        **heading(COMPARE_SCHEMA),
         "first": str(first.run),
         "measured": [figures_record(each.run, each.measured) for each in runs],
         "not_identified": [str(each.run) for each in runs if not each.identified],
@@ -414,13 +369,10 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
 
 
 def _difference_record(each: Difference) -> dict[str, Any]:
-    other = each.other
     return {
         "unit": each.first.unit,
-        "first": {"value": each.first.value, "low": each.first.low, "high": each.first.high},
-        "other": None
-        if other is None
-        else {"value": other.value, "low": other.low, "high": other.high},
+        "first": plain(each.first, "unit", "at_bound"),
+        "other": plain(each.other, "unit", "at_bound"),
         "change": each.change,
         "joint": each.joint,
         "moved": each.moved,
@@ -462,17 +414,7 @@ class Course:
 
 @dataclass(frozen=True)
 class History:
-    """The runs of one bench in order of time.
-
-    Attributes:
-        bench: Name of the bench.
-        simulated: Whether the bench is simulated.
-        method: Method of the identifications.
-        runs: Folders, in the order of time.
-        begun: When each run began.
-        courses: Every constant over these runs.
-        left_out: Messages on the runs that are left out.
-    """
+    """The runs of one bench in order of time."""
 
     bench: str
     simulated: bool | None
@@ -486,16 +428,7 @@ class History:
 def histories(
     root: Path, entries: Sequence[Entry], seed: int = 0, only: str | None = None
 ) -> list[History]:
-    """Return the histories of the benches of some runs. Runs without identified parameters are left
-    out, and a run and its copies count once.
-
-    Args:
-        root: The searched folder.
-        entries: The runs, the earliest first.
-        seed: Seed of the simulated distribution of the test.
-        only: Name of the constant to which histories are restricted, or None for all constants.
-            The p-value of this constant also accounts for the tests of all other constants.
-    """
+    """Return the histories of the benches of identified runs; a run and its copies count once."""
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
     left_out: dict[tuple[str, bool | None], list[str]] = {}
@@ -562,18 +495,14 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
         scale = float(np.median(halves)) / _HALF_WIDTHS
         found_change = _test(halves / np.median(halves), seed, known)(values / scale)
         change = dataclasses.replace(
-            found_change,
-            size=scale * found_change.size,
-            half_width=scale * found_change.half_width,
+            found_change, size=scale * found_change.size, half_width=scale * found_change.half_width
         )
         p_value = min(1.0, tested * change.p_value)
         yield Course(name, runs, constants, change, p_value, _devices(history, runs, change.start))
 
 
 def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
-    """Return the test for errors relative to their median; parameters with equal relative errors
-    share one test.
-    """
+    """Return the test for errors relative to their median; equal errors share one test."""
     key = np.round(relative, 6).tobytes()
     if key not in known:
         known[key] = ChangeTest(relative, np.random.default_rng(seed))
@@ -607,9 +536,7 @@ def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None)
 
 
 def alarms(history: History) -> Mapping[str, int | None]:
-    """Return the parameters that changed, with the first run after the step, or None for a
-    drift.
-    """
+    """Return the first run after each step, by parameter; None for a drift."""
     return {each.name: each.change.start for each in history.courses if each.alarm and each.change}
 
 
@@ -750,7 +677,7 @@ def _left_out(history: History) -> Iterator[Note]:
 def trend_record(histories: Sequence[History]) -> dict[str, Any]:
     """Return the record of ``rig runs trend --json``."""
     return {
-        **head_record(TREND_SCHEMA),
+        **heading(TREND_SCHEMA),
         "false_alarms": FALSE_ALARMS,
         "histories": [_history_record(each) for each in histories],
     }

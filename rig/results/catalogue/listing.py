@@ -13,7 +13,7 @@ from typing import Any
 from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figure, figure
 from rig.common.errors import InputError
 from rig.common.places import is_file
-from rig.common.provenance import utc_now, versions
+from rig.common.provenance import heading
 from rig.common.tables import interval, number
 from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, Verdict
 from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
@@ -26,9 +26,7 @@ COLUMNS = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", 
 
 
 def cells(root: Path, entry: Entry) -> dict[str, str]:
-    """Return the facts of a run as text by :data:`COLUMNS`: times to the minute, the masses that
-    hung on the lever; for a folder without a complete run, the kind of the folder as its state.
-    """
+    """Return the facts of a run by :data:`COLUMNS`; without a run, its kind as state."""
     head = entry.head
     state = state_of(root, entry) if head.kind == "run" else head.kind.upper()
     if head.kind == "commissioning":
@@ -53,29 +51,12 @@ def place(root: Path, entry: Entry) -> str:
     return str(root / entry.folder)
 
 
-def head_record(schema: str) -> dict[str, Any]:
-    """Return the keys at the start of a result file on several runs."""
-    known = versions()
-    return {
-        "schema": schema,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
-    }
-
-
 LIST_SCHEMA = "loadrig.runs/1"
 _MOST_PROBLEMS = 10
 
 
 def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> Document:
-    """Return runs as a table, and the problems of folders that contain no complete run.
-
-    Args:
-        root: The searched folder.
-        entries: The runs to show, the earliest first.
-        hidden: Number of runs that the selection leaves out.
-    """
+    """Return runs as a table, and the problems of folders that contain no complete run."""
     rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
     listed = Table(COLUMNS, rows, ())
     notes = [Note(line) for line in _count(entries, hidden)]
@@ -125,7 +106,7 @@ def _copies(root: Path, entries: Sequence[Entry]) -> Iterator[str]:
 def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the record of ``rig runs list --json``."""
     return {
-        **head_record(LIST_SCHEMA),
+        **heading(LIST_SCHEMA),
         "folder": str(root),
         "runs": [run_record(root, entry) for entry in entries],
     }
@@ -143,9 +124,7 @@ _LEAD_WIDTH = 5.2
 
 
 def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
-    """Draw the parameters of several runs in percent of the first run's values, with 90 %
-    intervals.
-    """
+    """Draw parameters in percent of the first run's values, with 90 % intervals."""
     height = 0.45 * len(names) + 0.2 * len(runs) + 1.0
     made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))
@@ -328,7 +307,7 @@ def show_record(root: Path, entry: Entry) -> dict[str, Any]:
     """Return the record of ``rig runs show --json``."""
     record = _record(root / entry.folder)
     return {
-        **head_record(SHOW_SCHEMA),
+        **heading(SHOW_SCHEMA),
         **run_record(root, entry),
         "details": json.loads(entry.details),
         "record": None if record is None else dataclasses.asdict(record),
@@ -367,7 +346,7 @@ def _section(found: Verification) -> Section:
 def verification_record(found: Sequence[Verification]) -> dict[str, Any]:
     """Return the record of ``rig runs verify --json``."""
     return {
-        **head_record(VERIFY_SCHEMA),
+        **heading(VERIFY_SCHEMA),
         "good": all(each.good for each in found),
         "runs": [_run_record(each) for each in found],
     }

@@ -21,11 +21,9 @@ from identification.estimate.default import identify_any_length
 from identification.export.model import refit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
-from rig.common.places import is_folder
 from rig.common.provenance import Provenance
 from rig.results.diagnose.model_file import diagnosis_record, effects_record, model_of
 from rig.runs.run_file import partial_warnings, without_partial
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 RESULT_FILE = "diagnose.json"
@@ -39,13 +37,7 @@ search for effects, some ten seconds.
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of ``rig diagnose``.
-
-    Attributes:
-        dataset: The diagnosed dataset.
-        diagnosis: The verdict with its evidence.
-        provenance: Seed, inputs, time.
-    """
+    """Result of ``rig diagnose``."""
 
     dataset: Dataset
     diagnosis: Diagnosis
@@ -92,7 +84,6 @@ def diagnose_source(
     if progress is not None:
         progress("reading", 0.0)
     dataset, exact = _as_exact(load_source(source, partial=partial))
-    described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
@@ -114,7 +105,7 @@ def diagnose_source(
     seconds, found = time.perf_counter() - started, settled(found)
     warnings = (*found.warnings, *partial_warnings(dataset), *exact)
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
-    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Outcome(dataset, found, provenance)
 
 
@@ -139,9 +130,7 @@ def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
 
 
 def without_torque(dataset: Dataset) -> bool:
-    """Return whether no recording has torque and all recordings have the pressure of a gas
-    generator.
-    """
+    """Return whether all recordings have the pressure of a gas generator and none has torque."""
     return all(has_gas_channels(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
 
 
@@ -166,11 +155,6 @@ def burning(dataset: Dataset) -> Dataset:
 def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     """Return a diagnosis whose nominal parameters are from the default estimator, after the effects
     have been subtracted.
-
-    Args:
-        dataset: The diagnosed dataset.
-        found: The diagnosis.
-        seed: Seed of the estimator's random generator.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model.
@@ -204,10 +188,7 @@ def _identified(
 
 
 def _refined(
-    dataset: Dataset,
-    found: Diagnosis,
-    seed: int,
-    progress: Callable[[str, float], None] | None,
+    dataset: Dataset, found: Diagnosis, seed: int, progress: Callable[[str, float], None] | None
 ) -> Diagnosis:
     """Refine a diagnosis that found physics missing, or state in a warning why this is not done."""
     if found.verdict is Verdict.NOTHING_MISSING:

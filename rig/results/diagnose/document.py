@@ -30,8 +30,8 @@ from identification.plots import mismatch
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
-from rig.common.places import is_folder, source_name
-from rig.common.provenance import Provenance, finite, utc_now, versions
+from rig.common.places import source_name
+from rig.common.provenance import Provenance, finite, heading
 from rig.common.tables import number, percent, table
 from rig.config.configuration import nearest
 from rig.results.diagnose.diagnose import Outcome
@@ -49,7 +49,6 @@ from rig.results.document import (
     provenance_section,
     reading_notes,
 )
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 if TYPE_CHECKING:
@@ -61,14 +60,9 @@ _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
-def effect_table(found: Diagnosis, motion: str) -> Table:
-    """Return one row for each parameter of each effect; the names of the parameters are those for
-    the motion of the bench.
-
-    Args:
-        found: The diagnosis.
-        motion: ``rotary`` or ``linear``.
-    """
+def _effect_table(outcome: Outcome) -> Table:
+    """Return one row for each parameter of each effect, named as for the motion of the bench."""
+    found, motion = outcome.diagnosis, outcome.dataset.recordings[0].bench.motion
     rows = []
     for effect in found.effects:
         lead = (effect.name, number(effect.confidence, 3))
@@ -81,8 +75,7 @@ def effect_table(found: Diagnosis, motion: str) -> Table:
     return Table(("effect", "confidence", "parameter", "value (90 % interval)"), tuple(rows), (1,))
 
 
-def rival_table(found: Diagnosis) -> Table:
-    """Return the rivals of each effect, and the reason why each rival was rejected."""
+def _rival_table(found: Diagnosis) -> Table:
     rows = tuple(
         (
             effect.name,
@@ -96,20 +89,16 @@ def rival_table(found: Diagnosis) -> Table:
     return Table(("effect", "rival", "confidence", "why not"), rows, (2,))
 
 
-def fit_table(found: Diagnosis) -> Table:
-    """Return the errors of the nominal and of the corrected model, one row per equation and role;
-    all errors of one equation are at one bandwidth.
-    """
+def _fit_table(found: Diagnosis) -> Table:
+    """Return the errors of both models, one row per equation and role."""
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
     rms = ("rms before", "rms after", "noise floor")
     return Table(("equation", "recordings", *rms, "unit", "bandwidth"), rows, (2, 3, 4, 6))
 
 
-def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters in the nominal and in the corrected model; no rows if no
-    parameter changed.
-    """
+def _shift_table(found: Diagnosis) -> Table:
+    """Return the nominal parameters in both models; no rows if none changed."""
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())
     rows = tuple(
@@ -125,10 +114,8 @@ def shift_table(found: Diagnosis) -> Table:
     return Table(("parameter", "before", "after", "change", "unit"), rows, (1, 2, 3))
 
 
-def where_table(found: Diagnosis) -> Table:
-    """Return the location of the mismatch of each effect or, without an effect, of the whole
-    mismatch.
-    """
+def _where_table(found: Diagnosis) -> Table:
+    """Return the location of each effect or, without one, of the whole mismatch."""
     places = [(e.name, e.where) for e in found.effects]
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]
@@ -145,8 +132,7 @@ def where_table(found: Diagnosis) -> Table:
     return Table(("what", "against", "where", "share of the mismatch", "recordings"), rows, (3,))
 
 
-def step_table(found: Diagnosis) -> Table:
-    """Return the steps of the search in their order."""
+def _step_table(found: Diagnosis) -> Table:
     rows = tuple(
         (
             str(k),
@@ -220,14 +206,7 @@ _SHOWN_PER_ROLE = 4
 def diagnose_document(
     name: str, outcome: Outcome, exports: Exports, facts: tuple[tuple[str, str], ...] = ()
 ) -> Document:
-    """Return a diagnosis as a document.
-
-    Args:
-        name: Name of the source.
-        outcome: The result.
-        exports: The files next to the page.
-        facts: Facts at the top of the page, such as bench, date and operator.
-    """
+    """Return a diagnosis as a document."""
     found = outcome.diagnosis
     return Document(
         f"Diagnosis of {name}",
@@ -245,7 +224,7 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
     for effect in found.effects:
         if effect.statement not in found.statement:
             yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
-    tables = (where_table, rival_table, fit_table, shift_table)
+    tables = (_where_table, _rival_table, _fit_table, _shift_table)
     for shown in (_effect_table(outcome), *(make(found) for make in tables)):
         if shown.rows:
             yield Section("", (shown,))
@@ -258,10 +237,6 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
         yield Section("", notes)
 
 
-def _effect_table(outcome: Outcome) -> Table:
-    return effect_table(outcome.diagnosis, outcome.dataset.recordings[0].bench.motion)
-
-
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     found = outcome.diagnosis
     _, headline, tone = _VERDICTS[found.verdict]
@@ -270,16 +245,16 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
         yield Section("Identified effects", (_effect_table(outcome), *effects))
-    yield Section("Error before and after", (fit_table(found),))
+    yield Section("Error before and after", (_fit_table(found),))
     yield Section(
-        "Location of the mismatch", (*_if_any(where_table(found)), *_curve(found), *_maps(found))
+        "Location of the mismatch", (*_if_any(_where_table(found)), *_curve(found), *_maps(found))
     )
-    if rivals := _if_any(rival_table(found)):
+    if rivals := _if_any(_rival_table(found)):
         yield Section("Rivals", (*rivals, *_rivals(found)))
-    if shifts := _if_any(shift_table(found)):
+    if shifts := _if_any(_shift_table(found)):
         note = Note("Nominal parameters fitted without and with the correction.", "aside")
         yield Section("Change of the nominal parameters", (note, *shifts))
-    if steps := _if_any(step_table(found)):
+    if steps := _if_any(_step_table(found)):
         yield Section("Steps of the search", steps)
     yield Section("Recordings", tuple(_recordings(found)))
     if exports.files:
@@ -384,13 +359,7 @@ with the nominal model.
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of ``rig diagnose --observable``.
-
-    Attributes:
-        dataset: The recordings.
-        effects: Observability of each effect in the recordings.
-        provenance: Seed, inputs, time.
-    """
+    """Result of ``rig diagnose --observable``."""
 
     dataset: Dataset
     effects: tuple[Observable, ...]
@@ -431,13 +400,12 @@ def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -
     """
     started = time.perf_counter()
     dataset = load_source(source)
-    described_by = source / RUN_FILE if is_folder(source) else source
     try:
         effects = observable_effects(dataset, bandwidth_Hz)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Seen(dataset, effects, provenance)
 
 
@@ -526,14 +494,7 @@ def whole(entry: Effect) -> str:
 
 def effects_record(entries: Iterable[Effect]) -> dict[str, Any]:
     """Return the record of ``rig effects --json``."""
-    known = versions()
-    return {
-        "schema": EFFECTS_SCHEMA,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
-        "effects": [_entry_record(e) for e in entries],
-    }
+    return {**heading(EFFECTS_SCHEMA), "effects": [_entry_record(e) for e in entries]}
 
 
 def _entry_record(entry: Effect) -> dict[str, Any]:

@@ -1,27 +1,397 @@
-"""Files of a diagnosis next to its report: the corrected model in up to three formats, and the
-experiment that splits an alias group.
-"""
+"""Files beside a diagnosis: the corrected model, and the experiment that splits a group."""
 
 from __future__ import annotations
 
+import dis
+import inspect
 import json
-from collections.abc import Mapping
+import math
+import pprint
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 
 from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis, Verdict
+from identification.effects import EFFECTS
+from identification.effects.effect import Separation
+from identification.export.model import COORDINATES, CorrectedModel, Response, Signals
+from identification.numerics.series import sine_cosine
 from identification.recording import Bench as Constants
+from identification.recording import Recording
+from identification.views.nominal import NominalTorque, winding_voltage
 from rig.common.errors import InputError
 from rig.common.places import source_name
+from rig.common.provenance import plain
 from rig.config.bench import Bench
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
-from rig.results.diagnose.model_export import PYTHON_FILE, YAML_FILE, python_text, yaml_text
 from rig.results.diagnose.model_file import model_of
-from rig.results.diagnose.separate import separating_sequence
+
+TRAVEL_SHARE = 0.85
+SPEED_SHARE = 0.5
+WEIGHT_SHARE = 0.75
+"""Shares of a bench's limits that an experiment uses."""
+_LIGHT = 1.0 / 3.0
+_SLOW_HZ = 0.1
+_SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
+_RESTS_S = (0.1, 0.5, 2.0, 8.0)
+_STILL_DEG = 0.02
+"""Amplitude, deg, at which a joint with friction stays at rest while its holding torque is
+recorded.
+"""
+
+
+@dataclass(frozen=True)
+class Room:
+    """Part of a bench's limits that an experiment may use."""
+
+    travel_deg: float
+    speed_deg_s: float
+    weight_kg: float
+
+    @classmethod
+    def of(cls, bench: Bench) -> Room:
+        """Return the part of a bench's limits for an experiment, symmetric about zero."""
+        limits = bench.limits
+        per_kg = bench.machine.lever_ratio * bench.machine.gravity_m_s2
+        return cls(
+            TRAVEL_SHARE * max(min(limits.angle_max_deg, -limits.angle_min_deg), 0.0),
+            SPEED_SHARE * limits.speed_deg_s,
+            WEIGHT_SHARE * min(limits.weight_kg, limits.contact_force_N / per_kg),
+        )
+
+    def frequency(self, amplitude_deg: float, share: float = 1.0) -> float:
+        """Return the frequency, Hz, of a sine that reaches a share of the speed limit."""
+        return share * self.speed_deg_s / (2.0 * math.pi * amplitude_deg)
+
+
+@dataclass(frozen=True)
+class _Stage:
+    name: str
+    amplitude_deg: float
+    frequency_Hz: float
+    periods: float = 3.0
+    weight_kg: float = 0.0
+    repeats: int = 1
+    settle_s: float = 0.5
+    center_deg: float = 0.0
+
+    def line(self) -> str:
+        duration = max(self.periods / self.frequency_Hz, 4.0)
+        stage = "loaded" if self.weight_kg else "unloaded"
+        return (
+            f"  - {{name: {self.name}, stage: {stage}, weight_kg: {self.weight_kg:.4g}, tones: "
+            f"[{{amplitude_deg: {self.amplitude_deg:.4g}, frequency_Hz: "
+            f"{self.frequency_Hz:.4g}}}], duration_s: {duration:.4g}, repeats: {self.repeats}, "
+            f"settle_s: {self.settle_s:g}, center_deg: {self.center_deg:.4g}}}"
+        )
+
+
+def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
+    """Return the stages of each kind of experiment within a part of a bench's limits."""
+    travel, weight = room.travel_deg, room.weight_kg
+    half, small = 0.5 * travel, 0.1 * travel
+    fast, top = room.frequency(half), room.frequency(small)
+    slow, quick = room.frequency(travel, 0.1), room.frequency(travel)
+    loads = (("unloaded", 0.0), ("light", _LIGHT * weight), ("heavy", weight))
+    orders = (("rising", _SPEED_STEPS), ("falling", _SPEED_STEPS[::-1]))
+    rests = (_RESTS_S[2], _RESTS_S[0], _RESTS_S[3], _RESTS_S[1])
+    whole = _Stage("whole-travel", travel, 0.3 * _SLOW_HZ, 2.0)
+    holds = []
+    for load, mass in (loads[0], loads[2]):
+        for side, away in (("above", 0.6 * travel), ("below", -0.6 * travel)):
+            move = _Stage(f"{load}-to-{side}", 0.2 * travel, _SLOW_HZ, 1.0, mass, center_deg=away)
+            still = f"{load}-held-from-{side}"
+            holds += [move, _Stage(still, _STILL_DEG, 0.25, 2.0, mass, settle_s=1.0)]
+    cold, warm, rested = (
+        (_Stage(f"{when}-slow", travel, slow, 2.0), _Stage(f"{when}-fast", travel, quick, 5.0))
+        for when in ("cold", "warm", "rested")
+    )
+    work = _Stage("work", travel, quick, 120.0 * quick, weight)
+    return {
+        Separation.LOADS: [_Stage(n, travel, _SLOW_HZ, weight_kg=mass) for n, mass in loads],
+        Separation.LOADS_AND_SPEEDS: [
+            _Stage(f"{load}-{speed}", half, frequency, weight_kg=mass)
+            for load, mass in (loads[0], loads[2])
+            for speed, frequency in (("slow", 0.1 * fast), ("fast", fast))
+        ],
+        Separation.FREQUENCIES: [
+            _Stage("fast", small, top, 10.0),
+            _Stage("half-as-fast", small, 0.5 * top, 10.0),
+            _Stage("slow-loaded", small, 0.05 * top, weight_kg=weight),
+        ],
+        Separation.SPEEDS: [
+            _Stage(f"speed-{order}-{k}", travel, room.frequency(travel, share))
+            for order, shares in orders
+            for k, share in enumerate(shares, 1)
+        ],
+        Separation.SLOW: [
+            _Stage(f"slow-{k}", 0.2 * travel, f, 2.0)
+            for k, f in enumerate((0.02, 0.05, 0.1, 0.2), 1)
+        ],
+        Separation.RESTS: [
+            _Stage(f"rest-{rest:g}s", small, 0.25, 1.0, repeats=4, settle_s=rest) for rest in rests
+        ],
+        Separation.SMALL_LOOPS: [
+            _Stage(f"{size}-after-{rest}-rest", share * travel, 0.5, 4.0, 0.0, 2, settle)
+            for size, share in (("tiny", 0.002), ("small", 0.02))
+            for rest, settle in (("short", 0.2), ("long", 8.0))
+        ],
+        Separation.TRAVEL: [whole, replace(whole, name="whole-travel-loaded", weight_kg=weight)],
+        Separation.SESSION: [*cold, work, *warm, replace(rested[0], settle_s=300.0), rested[1]],
+        Separation.HOLD: [*holds, whole],
+        Separation.AFTER_HANGING: [
+            _Stage(f"loaded-{when}", travel, _SLOW_HZ, 2.0, weight, settle_s=settle)
+            for when, settle in (("at-once", 0.1), ("after-a-minute", 60.0))
+        ],
+    }
+
+
+def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
+    """Return a sequence file that splits an alias group, or None if none can."""
+    kinds = [k for name in names if (k := EFFECTS[name].separation) is not None]
+    room = Room.of(bench)
+    if not kinds or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
+        return None
+    lines = [stage.line() for stage in recipes(room)[kinds[0]]]
+    head = [
+        f"# Splits {', '.join(names)}; sized by the limits of the bench {bench.name!r}.",
+        "sequence: 1",
+        f"name: split-{names[0]}",
+        "stages:",
+    ]
+    return "\n".join([*head, *lines]) + "\n"
+
+
+YAML_FILE, PYTHON_FILE = "model.yaml", "model.py"
+_CACHED = re.compile(r"^ *@(compiled|recent)\n", re.MULTILINE)
+"""Decorators of functions that the file has without compiler and cache."""
+_PLAIN = {
+    sine_cosine: '''\
+def sine_cosine(frequency: float, angle: Array) -> Array:
+    """Return sin and cos of ``frequency * angle``, shape (2, m)."""
+    return np.stack((np.sin(frequency * angle), np.cos(frequency * angle)))
+'''
+}
+"""Functions whose source in this program needs its compiler, to their source in the file."""
+_HEAD = '''\
+"""Corrected model of {name}: torque that the motion requires of the drive, and
+readings of its sensors.
+
+Needs only numpy.
+
+    s = signals(M, time, angle, velocity, acceleration, contact_force=3000.0, current=current)
+    torque(s)        torque that the motion requires, N m at the joint
+    drive(s)         torque of the logged current, N m at the joint; torque(s) plus noise
+    twist(s)         motor_angle / i - angle, rad
+    voltage(s)       voltage that the logged current requires, V
+
+Effects: {effects}.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+M = {numbers}
+"""Nominal parameters and constants of the bench, SI, at the joint but for R, L and Ke; the load
+that turns with the joint, the zero of the current, the gear's efficiency, the presliding stiffness
+and the torque ripple are those of the effects.
+"""
+EFFECTS = {values}
+"""Parameters of the effects, SI."""
+CURVE: Any = {curve}
+"""Unmodelled torque without an effect: equation, signal, grid, values, and whether the values act
+against the motion; None where there is none.
+"""
+'''
+_TAIL = '''\
+class Nominal(NominalTorque):
+    """The nominal model at the values of ``M``."""
+
+    def __init__(self, m: Any) -> None:
+        self.values, self.alpha = m, m["alpha"]
+        self.undeclared = tuple(m["load_" + n] for n in ("sine", "cosine", "slope", "constant"))
+        self.zero_A, self.efficiency = m["zero_A"], m["efficiency"]
+        self.presliding_stiffness = m["presliding_stiffness"]
+        self.ripple = (m["ripple"][:-2], m["ripple"][-2:]) if m["ripple"] else ()
+
+
+NOMINAL = Nominal(M)
+signals = Signals
+
+
+def torque(s: Any) -> Array:
+    """Return the torque that the motion requires of the drive, N m at the joint, shape (n,)."""
+    return NOMINAL.torque(s) + _sum(TORQUE, s) + _curve("torque", s)
+
+
+def drive(s: Any) -> Array:
+    """Return the torque of the logged current, N m at the joint, shape (n,)."""
+    return s["transmitted"] - _sum(DRIVE, s)
+
+
+def twist(s: Any) -> Array:
+    """Return motor_angle / i - angle but for a constant, rad, shape (n,)."""
+    return _sum(TRANSMISSION, s) + _curve("transmission", s)
+
+
+def voltage(s: Any) -> Array:
+    """Return the voltage that the logged current requires, V, shape (n,)."""
+    return winding_voltage(s) + _sum(VOLTAGE, s) + _curve("voltage", s)
+
+
+def _sum(effects: Any, s: Any) -> Array:
+    total = np.zeros(len(s["time"]))
+    for regressors, shape, coefficients in effects:
+        total = total + np.array(coefficients) @ regressors(s, NOMINAL, shape)
+    return total
+
+
+def _curve(equation: str, s: Any) -> Array:
+    if CURVE is None or CURVE[0] != equation:
+        return np.zeros(len(s["time"]))
+    value = np.interp(s[CURVE[1]], CURVE[2], CURVE[3])
+    return s["sense"] * value if CURVE[4] else value
+'''
+
+
+def yaml_text(model: CorrectedModel, recording: Recording) -> str:
+    """Return parameters, constants of the bench, effects and curve as YAML, SI."""
+    record: dict[str, Any] = {
+        "model": 1,
+        "parameters": {name: float(value) for name, value in model.parameters.items()},
+        "alpha": float(model.alpha),
+        "constants": {
+            k: v
+            for k, v in model.numbers(recording).items()
+            if k not in model.parameters and k != "alpha"
+        },
+        "effects": {
+            name: {k: float(v) for k, v in given.items()} for name, given in model.effects.items()
+        },
+    }
+    if model.curve is not None:
+        record["curve"] = plain(model.curve)
+    return "# Corrected model, SI units, at the joint after the gear.\n" + yaml.safe_dump(
+        record, sort_keys=False
+    )
+
+
+def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
+    """Return the model as Python, with the source of the functions that compute it here."""
+    torque = list(model.responses("torque"))
+    tables = {
+        "TORQUE": [r for r in torque if not r.effect.on_drive],
+        "DRIVE": [r for r in torque if r.effect.on_drive],
+        "TRANSMISSION": list(model.responses("transmission")),
+        "VOLTAGE": list(model.responses("voltage")),
+    }
+    source = _Source()
+    for definition in (Signals, NominalTorque, winding_voltage):
+        source.add(definition)
+    lists = []
+    for table, responses in tables.items():
+        rows = [f"    ({source.response(r, table)}, {_plain(r)}),\n" for r in responses]
+        lists.append(f"{table}: Any = [\n{''.join(rows)}]" if rows else f"{table}: Any = []")
+    curve: Any = None
+    if (c := model.curve) is not None:
+        grid, value = c.grid.tolist(), c.value.tolist()
+        curve = c.equation, COORDINATES[c.coordinate], grid, value, c.against_motion
+    head = _HEAD.format(
+        name=name,
+        effects=", ".join(model.effects) or "none",
+        numbers=pprint.pformat(model.numbers(recording), sort_dicts=False),
+        values=pprint.pformat({n: dict(v) for n, v in model.effects.items()}, sort_dicts=False),
+        curve=repr(curve),
+    )
+    return "\n\n".join([head, *source.texts.values(), "\n".join(lists) + "\n", _TAIL])
+
+
+def _plain(response: Response) -> str:
+    """Return nonlinear parameters and coefficients as literals."""
+    shape, coefficients = map(np.array, (response.shape, response.coefficients))
+    return f"{tuple(shape.tolist())!r}, {tuple(coefficients.tolist())!r}"
+
+
+class _Source:
+    """Source of definitions with all of this program that they use, in the order of use."""
+
+    def __init__(self) -> None:
+        self.texts: dict[str, str] = {}
+        self._known: dict[str, Any] = {}
+
+    def response(self, response: Response, table: str) -> str:
+        """Add the regressors of an effect; return the name of their function in the file."""
+        function = response.columns
+        if "." not in function.__qualname__:
+            self.add(function)
+            return function.__name__
+        name = f"{response.effect.name}_{table.lower()}"
+        self._use(function)
+        text = textwrap.dedent(inspect.getsource(function)).removeprefix("@staticmethod\n")
+        self.texts[name] = text.replace(f"def {function.__name__}(", f"def {name}(", 1)
+        return name
+
+    def add(self, definition: Any) -> None:
+        """Add a function, a class or a constant, after everything that it uses.
+
+        Raises:
+            ValueError: Another definition has the same name.
+        """
+        name = definition.__name__
+        if name in self._known:
+            if self._known[name] is not definition:
+                raise ValueError(f"two definitions of the corrected model have the name {name}")
+            return
+        self._known[name] = definition
+        if definition in _PLAIN:
+            self.texts[name] = _PLAIN[definition]
+            return
+        self._use(definition)
+        plain = getattr(definition, "py_func", definition)
+        self.texts[name] = _CACHED.sub("", inspect.getsource(plain))
+
+    def _use(self, definition: Any) -> None:
+        for function in _functions(definition):
+            for name in sorted(_names(function.__code__)):
+                used = function.__globals__.get(name)
+                if getattr(used, "__module__", "").startswith("identification."):
+                    self.add(used)
+                elif isinstance(used, float | int | str | tuple):
+                    self.texts[name] = f"{name} = {used!r}\n"
+
+
+def _functions(definition: Any) -> Iterator[FunctionType]:
+    """Yield the functions of a definition: its own, or those of a class."""
+    if not inspect.isclass(definition):
+        yield inspect.unwrap(getattr(definition, "py_func", definition))
+        return
+    for member in vars(definition).values():
+        function = getattr(member, "fget", member)
+        if hasattr(function, "cache_info"):
+            function = inspect.unwrap(function)
+        if inspect.isfunction(function):
+            yield function
+
+
+def _names(code: CodeType) -> set[str]:
+    """Return the global names that code uses, with those of the functions inside it."""
+    own = {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
+    inner = (c for c in code.co_consts if isinstance(c, CodeType))
+    return own.union(*(_names(c) for c in inner))
+
 
 SEQUENCE_FILE = "split.yaml"
 GAS_FILE = "gas_generator.yaml"
@@ -51,17 +421,10 @@ class Exports(NamedTuple):
 
 
 def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Exports:
-    """Return the corrected model as YAML, Python and simulated bench, and the experiment that
-    splits an alias group.
-
-    Args:
-        source: Run folder or campaign file that was diagnosed.
-        outcome: The result.
-        record: The JSON record of the result.
-    """
+    """Return the corrected model in all formats, and the experiment that splits an alias group."""
     if outcome.diagnosis.fit.equation == PRESSURE:
         use = "the corrected gas generator, as a block of a campaign file"
-        text = gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
+        text = _gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
         return Exports((Export(GAS_FILE, use, text),), ())
     base = base_bench(source)
     files, notes = _models(source_name(source), base, outcome, record)
@@ -111,14 +474,8 @@ def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
     return None
 
 
-def gas_text(found: Diagnosis, bench: Constants) -> str:
-    """Return the corrected gas generator as YAML (a block of a campaign file), and notes on what
-    the YAML cannot state.
-
-    Args:
-        found: The diagnosis.
-        bench: The bench with the nominal constants.
-    """
+def _gas_text(found: Diagnosis, bench: Constants) -> str:
+    """Return the corrected gas generator as YAML, a block of a campaign file."""
     g = bench.gas_generator
     assert g is not None
     block = {

@@ -72,11 +72,6 @@ def model_bench(
     """Return bench file data in which the model of a result is the simulated machine, and notes on
     the parts of the model that the machine cannot represent.
 
-    Args:
-        base: Bench whose drive loops, sensors and limits are kept.
-        model: Model of a result.
-        constants: Constants of the recorded bench.
-
     Raises:
         InputError: The result lacks values that a machine needs.
     """

@@ -46,9 +46,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
 
 
 def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return the additions of the corrected model to the nominal model: effects, and the empirical
-    curve.
-    """
+    """Return what the corrected model adds to the nominal one: effects and empirical curve."""
     return {"effects": plain(found.effects), "curve": plain(found.curve)}
 
 

@@ -20,7 +20,7 @@ from identification.model.parameters import NOMINAL
 from identification.recording import Recording
 from identification.simulate.drive_loop import drive_loop
 from rig.common.errors import InputError
-from rig.common.provenance import finite, sha256_file, utc_now, versions
+from rig.common.provenance import finite, heading, sha256_file
 from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
@@ -132,18 +132,7 @@ masses.
 
 @dataclass(frozen=True)
 class Experiment:
-    """A planned experiment.
-
-    Attributes:
-        sequence: The given sequence.
-        nominal: The model used to assess the sequence.
-        nominal_source: Origin of the model's parameter values, as text.
-        current_noise_A: Noise of the logged current, rms.
-        proposal: Parameters determined by the given and by the proposed sequence.
-        proposed: The proposed sequence, to be run instead of the given sequence.
-        seed: Seed of the search.
-        seconds: Wall-clock time spent.
-    """
+    """A planned experiment."""
 
     sequence: Sequence
     nominal: PlannedModel
@@ -211,24 +200,16 @@ def plan_experiment(
 
 def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
     """Raise InputError unless an experiment can be planned from every stage."""
-    sequence.require(
-        (
-            ("stages", k, "ramp"),
-            "an experiment is planned from tones, not from ramps; leave this stage out of the "
-            "sequence",
+    remedy = "leave this stage out of the sequence"
+    for key, wrong, words in (
+        ("ramp", lambda stage: stage.ramp is not None, "from tones, not from ramps"),
+        ("stage", lambda stage: stage.stage == "hot_fire", "with weights, not with hot firings"),
+    ):
+        sequence.require(
+            (("stages", k, key), f"an experiment is planned {words}; {remedy}")
+            for k, stage in enumerate(sequence.value.stages)
+            if wrong(stage)
         )
-        for k, stage in enumerate(sequence.value.stages)
-        if stage.ramp is not None
-    )
-    sequence.require(
-        (
-            ("stages", k, "stage"),
-            "an experiment is planned with weights, not with hot firings; leave this stage out of "
-            "the sequence",
-        )
-        for k, stage in enumerate(sequence.value.stages)
-        if stage.stage == "hot_fire"
-    )
 
 
 def _torque(bench: Bench, limits: Limits) -> float:
@@ -283,9 +264,7 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
-        """Return the joint angles of all repeats; the phases of the tones in the sequence file
-        apply only to the tones of that file.
-        """
+        """Return the joint angles of all repeats; phases of the file are for its own tones only."""
         section = stage if e is present else _with(stage, e, stage.name)
         once = np.concatenate(
             [np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)]
@@ -345,27 +324,24 @@ PROPOSAL_FILE = "proposal.yaml"
 
 def proposal_text(experiment: Experiment, bench: str) -> str:
     """Return the sequence file of a proposal; a comment states its purpose."""
-    determined = intervals_words(experiment.proposal.proposed)
+    determined = _intervals_words(experiment.proposal.proposed)
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
         f"{bench}, seed {experiment.seed}.\n"
         f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
     )
     return head + yaml.safe_dump(
-        plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
+        _plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
     )
 
 
-def plain_sequence(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence as the mapping of its file; most keys with default values are omitted."""
+def _plain_sequence(sequence: Sequence) -> dict[str, Any]:
     given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
     return {"sequence": sequence.sequence, **given}
 
 
-def intervals_words(found: Intervals) -> str:
-    """Return a message on the number of determined parameters and on the least accurate
-    parameter.
-    """
+def _intervals_words(found: Intervals) -> str:
+    """Return how many parameters are determined, and the least accurate."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
         return f"does not determine {', '.join(open_names)}"
@@ -376,9 +352,7 @@ def intervals_words(found: Intervals) -> str:
 
 
 def plan_document(experiment: Experiment) -> Page:
-    """Return the parameters that the given and the proposed sequence determine, and the stages of
-    the proposal.
-    """
+    """Return what the given and the proposed sequence determine, and the proposed stages."""
     title = f"Experiment in place of {experiment.sequence.name}"
     return Page(title, "", tuple(_summary(experiment)))
 
@@ -392,8 +366,8 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
     yield Section("", (Note(head),))
     yield Section("", (_widths(experiment),))
     lines = (
-        f"{sequence}: {intervals_words(now)}",
-        f"{proposed}: {intervals_words(then)}",
+        f"{sequence}: {_intervals_words(now)}",
+        f"{proposed}: {_intervals_words(then)}",
         _advice(experiment),
     )
     yield Section("", tuple(map(Note, lines)))
@@ -479,12 +453,8 @@ RESULT_FILE = "plan.json"
 
 def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
     """Return the record of ``rig identify --plan --json``."""
-    used = versions()
     return {
-        "schema": PLAN_SCHEMA,
-        "version": used["loadrig"],
-        "versions": dict(used),
-        "created": utc_now().isoformat(timespec="seconds"),
+        **heading(PLAN_SCHEMA),
         "seconds": experiment.seconds,
         "seed": experiment.seed,
         "bench": bench,
@@ -503,7 +473,7 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
 
 def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
     return {
-        "sequence": plain_sequence(sequence),
+        "sequence": _plain_sequence(sequence),
         "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
         "weakest": found.weakest,
     }

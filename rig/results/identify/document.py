@@ -68,9 +68,7 @@ _MOVED = 4
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
-    """Return lines on trade-offs, active bounds, and the number of starts that reached the best
-    optimum.
-    """
+    """Return lines on trade-offs, active bounds, and starts that reached the best optimum."""
     lines = [pair.statement for pair in result.tradeoffs]
     if result.least_pinned:
         lines.append(result.least_pinned)
@@ -150,9 +148,9 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     """Return the requested tables, each with its note."""
     tables = []
     if result.priors:
-        tables.append((priors_table(result), PRIORS_NOTE))
+        tables.append((_priors_table(result), PRIORS_NOTE))
     if result.known_constants:
-        tables.append((constants_table(result), CONSTANTS_NOTE))
+        tables.append((_constants_table(result), CONSTANTS_NOTE))
     if result.profiles:
         tables.append((profile_table(result), PROFILE_NOTE))
     if result.resampled:
@@ -160,10 +158,7 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     return tables
 
 
-def priors_table(result: Identification) -> Table:
-    """Return one row for each prior: the prior, the estimate from the recordings alone, and the
-    combined estimate.
-    """
+def _priors_table(result: Identification) -> Table:
     return _columns(
         result.priors,
         (1, 2, 3),
@@ -175,10 +170,8 @@ def priors_table(result: Identification) -> Table:
     )
 
 
-def constants_table(result: Identification) -> Table:
-    """Return one row for each uncertain constant: value, uncertainty, and the parameters that it
-    changes most.
-    """
+def _constants_table(result: Identification) -> Table:
+    """Return value, uncertainty and most changed parameters of each constant."""
 
     def most(constant: KnownConstant) -> str:
         shares = {
@@ -233,8 +226,7 @@ COMPARISON_NOTE = (
 )
 
 
-def fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
-    """Return the error of each method on all recordings of a role, and on each recording."""
+def _fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
     of_roles, of_recordings = [], []
     for result in results:
         fit = result.fit
@@ -256,8 +248,7 @@ def fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
     )
 
 
-def stage_table(results: Sequence[Identification]) -> Table:
-    """Return the number of evaluations and the final state of each stage of each method."""
+def _stage_table(results: Sequence[Identification]) -> Table:
 
     def target(row: tuple[str, Convergence]) -> str:
         stage = row[1]
@@ -277,8 +268,7 @@ def stage_table(results: Sequence[Identification]) -> Table:
     )
 
 
-def recording_table(recordings: Sequence[Recording]) -> Table:
-    """Return the identified recordings, and the corrections that were made on reading."""
+def _recording_table(recordings: Sequence[Recording]) -> Table:
     return _columns(
         recordings,
         (3, 4, 5),
@@ -292,10 +282,8 @@ def recording_table(recordings: Sequence[Recording]) -> Table:
     )
 
 
-def comparison_table(contenders: Sequence[Contender]) -> Table:
-    """Return one row for each estimator; the error column is omitted if the true values are
-    unknown.
-    """
+def _comparison_table(contenders: Sequence[Contender]) -> Table:
+    """Return one row for each estimator; the true error only if it is known."""
 
     def worst(error: float | None, name: str) -> str:
         return "-" if error is None else f"{percent(100.0 * error)} ({name})"
@@ -318,10 +306,7 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
     )
 
 
-def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """Return one row for each rung of the ladder: the error of the fit, the error on the recordings
-    with role validate, and the error of the simulated angle on the recordings with role validate.
-    """
+def _ladder_table(rungs: Sequence[Rung]) -> Table:
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
     scale = 1e3 if first.motion == "rotary" else 1e6
@@ -338,8 +323,7 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
     )
 
 
-def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
-    """Return explanations of the table's columns."""
+def _ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     first = rungs[0]
     where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
     lines = [
@@ -355,10 +339,7 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     return lines
 
 
-def transfer_table(found: Transfer) -> Table:
-    """Return one row for each parameter: its value from either source, the difference, and whether
-    the difference exceeds the joint interval.
-    """
+def _transfer_table(found: Transfer) -> Table:
     findings = {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}
     return _columns(
         found.parameters,
@@ -373,14 +354,12 @@ def transfer_table(found: Transfer) -> Table:
     )
 
 
-def transfer_notes(found: Transfer) -> list[str]:
-    """Return the errors of the transfer as text."""
+def _transfer_notes(found: Transfer) -> list[str]:
     fit, own = found.fit, found.own
     line = (
         "on the other source, the error of the model with the parameters of this source is "
-        f"{number(fit.train_rms, 3)} {fit.unit} rms "
-        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; with "
-        "parameters identified on the other source it is "
+        f"{number(fit.train_rms, 3)} {fit.unit} rms ({percent(100.0 * fit.train_relative)}) at "
+        f"{number(fit.bandwidth_Hz, 3)} Hz; with parameters identified on the other source it is "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
     floor = found.floor
@@ -434,10 +413,6 @@ def parameter_table(
     content are left out.
 
     The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
-
-    Args:
-        results: One per method; the first names the rows.
-        truth: True values of a simulated bench, if known; adds the columns ``true`` and ``error``.
     """
     header = ["parameter"]
     for result in results:
@@ -470,10 +445,8 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
     ]
 
 
-def pinned_notes(results: Sequence[Identification]) -> list[str]:
-    """Return for each method with intervals the number of determined parameters, and the least
-    accurate parameter.
-    """
+def _pinned_notes(results: Sequence[Identification]) -> list[str]:
+    """Return the number of determined parameters, and the least accurate."""
     lines = []
     for result in results:
         widths = {
@@ -531,10 +504,8 @@ _WORDS = {
 }
 
 
-def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
-    """Return one row for each fit: errors of the simulated angle, and the change of each
-    constant.
-    """
+def _simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
+    """Return the errors of the simulated angle, and the change of each constant."""
     small, scale = ("um", 1e6) if motion == LINEAR else ("mrad", 1e3)
     names = [c.name for c in next((r.constants for r in rungs if r.constants), ())]
 
@@ -556,16 +527,13 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
     )
 
 
-def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
-    """Return explanations of the table, and the change of each constant in the fits that
-    cross-validation does not reject.
-    """
+def _simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
     longest = max(rung.horizon_s for rung in rungs)
     lines = [
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
         f"MAE: mean absolute error of that angle. Cross-validated: error on each third of the "
         f"recordings, predicted by a fit to the other two thirds; tied: not distinguished from "
-        f"the least cross-validated error.",
+        f"the least cross-validated error."
     ]
     for rung in rungs:
         if rung.tied and rung.constants:
@@ -610,14 +578,7 @@ def identify_document(
     truth: Mapping[str, float] | None = None,
     facts: tuple[tuple[str, str], ...] = (),
 ) -> Document:
-    """Return an identification as a document.
-
-    Args:
-        name: Name of the source.
-        outcome: The result; figures of single recordings show the result of the first method.
-        truth: True values of a simulated bench, only for display.
-        facts: Facts at the top of the page, such as bench, date and operator.
-    """
+    """Return an identification as a document."""
     results = outcome.results
     return Document(
         f"Identification of {name}",
@@ -631,13 +592,13 @@ def identify_document(
 def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
     results = outcome.results
     yield Section("", (parameter_table(results, truth),))
-    lines = [*map(_fit_line, results), *pinned_notes(results)]
+    lines = [*map(_fit_line, results), *_pinned_notes(results)]
     lines += [line for result in results for line in uncertainty_notes(result)]
     yield Section("", tuple(map(Note, lines)))
     for cells, line in (each for result in results for each in uncertainty_tables(result)):
         yield Section("", (cells, Note(line)))
     if outcome.comparison:
-        yield Section("", (comparison_table(outcome.comparison), Note(COMPARISON_NOTE)))
+        yield Section("", (_comparison_table(outcome.comparison), Note(COMPARISON_NOTE)))
     for extra in _extras(outcome):
         yield Section(extra.title, (extra.table, *map(Note, extra.notes)))
     last = (
@@ -657,19 +618,15 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield Section("Parameters", tuple(_parameters(results, truth)))
     yield Section("How sure", tuple(_how_sure(results)))
     if outcome.comparison:
-        cells = comparison_table(outcome.comparison)
+        cells = _comparison_table(outcome.comparison)
         yield Section("Estimators side by side", (cells, Note(COMPARISON_NOTE, "aside")))
     recordings = {r.name: r for r in outcome.dataset.recordings}
     yield Section(
-        "Fit",
-        (
-            *fit_tables(results),
-            *(_stribeck(result, recordings) for result in results),
-        ),
+        "Fit", (*_fit_tables(results), *(_stribeck(result, recordings) for result in results))
     )
     for extra in _extras(outcome):
         yield Section(extra.title, (extra.table, *(Note(line, "aside") for line in extra.notes)))
-    yield Section("Stages and convergence", (stage_table(results), *_convergence(results, truth)))
+    yield Section("Stages and convergence", (_stage_table(results), *_convergence(results, truth)))
     yield Section("Recordings", tuple(_recordings(outcome, recordings)))
     yield provenance_section(outcome.provenance)
 
@@ -680,15 +637,15 @@ def _warnings(results: Sequence[Identification]) -> list[Note]:
 
 def _extras(outcome: Outcome) -> Iterator[Extra]:
     if rungs := outcome.ladder:
-        yield Extra("Ladder of friction models", ladder_table(rungs), ladder_notes(rungs))
+        yield Extra("Ladder of friction models", _ladder_table(rungs), _ladder_notes(rungs))
     if simulated := outcome.simulated:
         yield Extra(
             "Friction models fitted to the simulated angle",
-            simulated_table(simulated, outcome.results[0].motion),
-            simulated_notes(simulated),
+            _simulated_table(simulated, outcome.results[0].motion),
+            _simulated_notes(simulated),
         )
     if (found := outcome.transfer) is not None:
-        yield Extra("Transfer", transfer_table(found), transfer_notes(found))
+        yield Extra("Transfer", _transfer_table(found), _transfer_notes(found))
 
 
 def _fit_line(result: Identification) -> str:
@@ -709,7 +666,7 @@ def _parameters(
     results: Sequence[Identification], truth: Mapping[str, float] | None
 ) -> Iterator[Table | Note | Picture]:
     yield parameter_table(results, truth)
-    for line in (*pinned_notes(results), *parameter_notes(results)):
+    for line in (*_pinned_notes(results), *parameter_notes(results)):
         yield Note(line, "aside")
     if truth is not None:
         yield Note(_TRUTH, "aside")
@@ -769,7 +726,7 @@ def _convergence(
 def _recordings(
     outcome: Outcome, recordings: Mapping[str, Recording]
 ) -> Iterator[Table | Note | Picture]:
-    yield recording_table(outcome.dataset.recordings)
+    yield _recording_table(outcome.dataset.recordings)
     first = outcome.results[0]
     shown = few_of_each_role(first.traces, lambda trace: trace.role, _SHOWN_PER_ROLE)
     if hidden := len(first.traces) - len(shown):

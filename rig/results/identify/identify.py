@@ -25,7 +25,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_folder
 from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite, plain
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
-from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
+from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
 from rig.weighing.weight_check import comparable, off_label
 
@@ -113,11 +113,6 @@ def identify_source(
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
-    Args:
-        source: Run folder or campaign file.
-        request: Methods and options.
-        progress: Called with the current step and the completed share.
-
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
     """
@@ -137,18 +132,11 @@ def identify_source(
         with _named(request.score):
             carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
-    described_by = source / RUN_FILE if is_folder(source) else source
     tables = {**dataset.tables, **(other.tables if other is not None else {})}
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
+    provenance = Provenance.of(request.seed, read, seconds, source, tables)
     return Outcome(
-        dataset,
-        tuple(results),
-        provenance,
-        rungs,
-        carried,
-        request.score,
-        simulated=simulated,
+        dataset, tuple(results), provenance, rungs, carried, request.score, simulated=simulated
     )
 
 
@@ -189,9 +177,7 @@ def _identified(
         ignored = f"the {method} method does not use the uncertainty of {', '.join(unused)}"
         warnings = (*warnings, ignored)
     return dataclasses.replace(
-        result,
-        seconds=time.perf_counter() - begun,
-        warnings=(*result.warnings, *warnings),
+        result, seconds=time.perf_counter() - begun, warnings=(*result.warnings, *warnings)
     )
 
 
@@ -219,12 +205,6 @@ def compare_methods(
 ) -> Outcome:
     """Return an outcome with a comparison of all estimators; each stochastic search is run with
     ``COMPARED_SEEDS`` random seeds.
-
-    Args:
-        source: The source, for messages.
-        outcome: Identification of the source; the first result is of the default method.
-        truth: True parameters of a simulated bench, used only in the table.
-        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: The campaign fixes values or declares terms.
@@ -285,9 +265,7 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 
 def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the part of the record on trade-offs, bounds, starts, profiles, bootstrap, priors, and
-    constants with a stated uncertainty.
-    """
+    """Return trade-offs, bounds, starts, profiles, bootstrap, priors and known constants."""
     return {
         "tradeoffs": plain(result.tradeoffs),
         "least_pinned": result.least_pinned,
@@ -304,9 +282,7 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
 
 
 def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
-    """Return the record under the key ``ladder`` of ``rig identify --json``; errors of the angle
-    are in rad, or in m for a linear bench.
-    """
+    """Return the record under ``ladder``; errors of the angle in rad, or m if linear."""
     return [
         {
             "friction": rung.friction,
@@ -325,9 +301,7 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
 
 
 def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
-    """Return the record under the key ``simulated_ladder`` of ``rig identify --json``; errors of
-    the angle are in rad, or in m for a linear bench.
-    """
+    """Return the record under ``simulated_ladder``; errors of the angle in rad, or m if linear."""
     return [
         {
             "friction": rung.friction,

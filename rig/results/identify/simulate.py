@@ -24,7 +24,6 @@ from identification.simulate.closed_loop import (
 )
 from identification.views.view import views
 from rig.common.errors import InputError
-from rig.common.places import is_folder
 from rig.common.provenance import Provenance, sha256_file
 from rig.common.tables import number, percent
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
@@ -39,33 +38,27 @@ from rig.results.document import (
     few_of_each_role,
     provenance_section,
 )
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
+
+FittedModel = tuple[Path, CorrectedModel]
+"""A result file and its model."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of one model for every recording.
-
-    Attributes:
-        file: Result file.
-        effects: Names of the active effects; empty for the nominal part alone.
-        parts: Every equation of every recording.
-    """
+    """Prediction of one model for every recording."""
 
     file: Path
     effects: tuple[str, ...]
     parts: tuple[Predicted, ...]
 
     def error(self, equation: str, role: str) -> float | None:
-        """Return the rms error of one equation over the recordings of one role, or None if the
-        equation does not apply.
-        """
+        """Return the rms error of an equation over a role, or None if it does not apply."""
         return rms(p for p in self.parts if p.equation == equation and p.role == role)
 
 
 def predict(
-    dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
+    dataset: Dataset, models: Sequence[FittedModel], bandwidth_Hz: float
 ) -> list[Prediction]:
     """Predict every recording with every model, and again without effects if the model has
     effects.
@@ -95,23 +88,10 @@ serve as references.
 
 
 @dataclass(frozen=True)
-class FittedModel:
-    """A model from a result file.
-
-    Attributes:
-        file: The result file.
-        corrected: Nominal parameters and effects.
-    """
-
-    file: Path
-    corrected: CorrectedModel
-
-
-@dataclass(frozen=True)
 class Case:
     """One model with one share of its friction, simulated on every recording."""
 
-    model: FittedModel
+    file: Path
     share: float
     sums: Mapping[str, Sums]
 
@@ -191,14 +171,13 @@ def simulate_source(
                 default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings
             )
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
-        predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
+        predictions = predict(dataset, models, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
         cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
-    described_by = source / RUN_FILE if is_folder(source) else source
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(0, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(0, dataset.recordings, seconds, source, dataset.tables)
     read = {str(path): sha256_file(path) for path in results}
     return Simulation(
         dataset,
@@ -220,7 +199,7 @@ def _models(
     for path, record in zip(files, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
     return tuple(
-        FittedModel(path, model_of(record, names, str(path)))
+        (path, model_of(record, names, str(path)))
         for path, record in zip(files, records, strict=True)
     )
 
@@ -234,17 +213,17 @@ def _closed_loop(
     cases: list[Case] = []
     shown: list[Response] = []
     total = len(models) * len(SHARES) * len(prepared)
-    for model, share in product(models, SHARES):
+    for (file, model), share in product(models, SHARES):
         sums: dict[str, Sums] = {}
         for p in prepared:
             done = len(cases) * len(prepared) + len(sums)
             progress(f"simulating {p.recording.name}", done / total)
-            values = with_friction(model.corrected.parameters, share)
-            response = replay(p.recording, values, model.corrected.alpha)
+            values = with_friction(model.parameters, share)
+            response = replay(p.recording, values, model.alpha)
             sums[p.recording.name] = compare(p, response)
             if not cases:
                 shown.append(response)
-        cases.append(Case(model, share, sums))
+        cases.append(Case(file, share, sums))
     return cases, shown
 
 
@@ -255,7 +234,7 @@ def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]
     """
     try:
         constants = found.dataset.recordings[0].bench
-        bench, left_out = model_bench(base_bench(source), found.models[0].corrected, constants)
+        bench, left_out = model_bench(base_bench(source), found.models[0][1], constants)
         said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
         return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
     except InputError as error:
@@ -267,13 +246,7 @@ _FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
 
 
 def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
-    """Return a simulation as a document.
-
-    Args:
-        name: Name of the source.
-        found: The result.
-        beside: Remarks on the model as a bench file.
-    """
+    """Return a simulation as a document."""
     models = dict.fromkeys(str(one.file) for one in found.predictions)
     return Document(
         f"Simulation of {name}",
@@ -322,7 +295,7 @@ def _left_out(found: Simulation) -> list[str]:
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
             "a campaign)"
         ]
-    if any(case.model.corrected.effects for case in found.cases):
+    if any(model.effects for _, model in found.models):
         return [
             "the closed loop is simulated without the effects; a simulated bench made from the "
             "result contains the effects"
@@ -351,7 +324,7 @@ def _pooled(found: Simulation) -> Table:
     """Return one row for each model, share of friction and role."""
     rows = [
         (
-            case.model.file.stem,
+            case.file.stem,
             _FRICTION[case.share],
             role,
             str(len(names)),
@@ -454,7 +427,7 @@ def _record_errors(found: Simulation) -> list[dict[str, object]]:
 def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
     roles = {role: names for role in ("fit", "validate") if (names := found.names(role))}
     return {
-        "result": str(case.model.file),
+        "result": str(case.file),
         "friction_share": case.share,
         **{role: _sums_record(case.over(names)) for role, names in roles.items()},
         "recordings": {name: _sums_record(sums) for name, sums in case.sums.items()},

@@ -1,3 +1,1 @@
-"""Reproduction of the paper's figures: each figure with the paper's statement, our result, and the
-plotted data.
-"""
+"""Reproduction of the paper's figures and tables, each beside the paper's statement."""

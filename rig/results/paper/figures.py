@@ -1,6 +1,4 @@
-"""Figures of the paper, each with our result: Fig. 2, 9 (slow ramps), eq. 14 (uniform motion),
-Fig. 3, 4 (valve), Fig. 5, 11 (closed loop), and compensation on a sine.
-"""
+"""The paper's Fig. 2 to 5, 9 and 11, eq. 14 and compensation, each with our result."""
 
 from __future__ import annotations
 
@@ -75,16 +73,16 @@ class Exhibit:
 
 
 def columns(**named: Array) -> Rows:
-    """Return arrays of one length, shape (n,), as rows; each title is a ``name`` with its unit
-    (``time_s``).
-    """
+    """Return arrays of one length as rows; each title is a ``name`` with its unit (``time_s``)."""
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
+def _thinned(**named: Array) -> Rows:
+    return columns(**{name: values[::_THIN] for name, values in named.items()})
+
+
 def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
-    """Return the CSV text with the numbers of every picture, by the name of its file relative to
-    the page.
-    """
+    """Return the numbers of every picture as CSV, by the file's name relative to the page."""
     return {
         _data_file(name): _csv(rows)
         for exhibit in exhibits
@@ -93,9 +91,7 @@ def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
 
 
 def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
-    """Return the paths of each picture and of its plotted data, relative to the page, by the name
-    of the picture.
-    """
+    """Return the files of each picture and its data, relative to the page."""
     files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
         for name in exhibit.data or {}:
@@ -133,14 +129,7 @@ def true_machine(name: str) -> Machine:
 def identified(
     name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]
 ) -> Feedforward:
-    """Run ``figure10`` on a packaged bench and identify that run.
-
-    Args:
-        name: Name of the bench.
-        scratch: Empty folder for the run and its result.
-        seed: Seed of the bench's noise and of the method.
-        progress: Called with the current step and the completed share.
-    """
+    """Run ``figure10`` on a packaged bench and identify that run."""
     bench = load_bench(name)
     progress(f"running figure10 on {name}", 0.0)
     run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
@@ -155,30 +144,22 @@ _SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
 _THIN = 10  # the data files contain every tenth sample
 
 
-@dataclass(frozen=True)
-class RampStudy:
-    """Ramps at low speed, unloaded and loaded, each without and with feed-forward."""
-
-    plain: Dataset
-    fed: Dataset
-
-
-def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
-    """Run the ramps with soft gains, without and with feed-forward; the noise differs from that of
-    the identification.
-    """
-    bench, sequence = load_bench(RAMP_BENCH), load_sequence(RAMP_SEQUENCE)
-    return RampStudy(
-        run_simulated(bench, sequence, seed + 1, scratch / "plain"),
-        run_simulated(bench, sequence, seed + 1, scratch / "fed", model),
-    )
+def run_both(
+    bench: str, sequence: str, scratch: Path, model: Feedforward, seed: int
+) -> tuple[Dataset, Dataset]:
+    """Run a sequence without and with feed-forward, with noise that no identification has had."""
+    loaded, plan = load_bench(bench), load_sequence(sequence)
+    plain = run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-plain")
+    return plain, run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-fed", model)
 
 
-def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
-    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under
-    3000 N).
-    """
-    plain, fed = study.plain.recordings, study.fed.recordings
+def _both(of: Callable[[Recording], Array], plain: Recording, fed: Recording) -> dict[str, Array]:
+    return {"without feed-forward": of(plain), "with it": of(fed)}
+
+
+def ramp_exhibits(without: Dataset, with_it: Dataset) -> list[Exhibit]:
+    """Return Fig. 2 (angle, steady-state error) and Fig. 9 (speed, without and with load)."""
+    plain, fed = without.recordings, with_it.recordings
     ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
     fig_2 = Exhibit(
         "fig_2",
@@ -227,10 +208,8 @@ def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
 def _words(what: str, t: Tracking) -> str:
     return (
         f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; "
-        f"at rest "
-        f"{100.0 * t.waiting:.0f} % of the time in which the command moves; {1e3 * t.at_end:+.3g} "
-        f"mrad off at the end; "
-        f"{t.energy:.0f} J electrical."
+        f"at rest {100.0 * t.waiting:.0f} % of the time in which the command moves; "
+        f"{1e3 * t.at_end:+.3g} mrad off at the end; {t.energy:.0f} J electrical."
     )
 
 
@@ -239,18 +218,14 @@ def _time(recording: Recording) -> Array:
 
 
 def _angle_figure(plain: Recording, fed: Recording) -> regulator.Figure:
-    time = _time(plain)
-    return regulator.tracking(
-        time,
-        plain.channels["command"],
-        {"without feed-forward": plain.channels["angle"], "with it": fed.channels["angle"]},
-        {"without feed-forward": tracking_error(plain), "with it": tracking_error(fed)},
-    )
+    command = plain.channels["command"]
+    angles = _both(lambda recording: recording.channels["angle"], plain, fed)
+    return regulator.tracking(_time(plain), command, angles, _both(tracking_error, plain, fed))
 
 
 def _speeds(plain: Recording, fed: Recording) -> tuple[Array, Array, dict[str, Array]]:
     commanded = np.gradient(plain.channels["command"], plain.period)
-    return _time(plain), commanded, {"without feed-forward": _speed(plain), "with it": _speed(fed)}
+    return _time(plain), commanded, _both(_speed, plain, fed)
 
 
 def _speed(recording: Recording) -> Array:
@@ -260,28 +235,26 @@ def _speed(recording: Recording) -> Array:
 
 
 def _data(plain: Recording, fed: Recording) -> Rows:
-    few = slice(None, None, _THIN)
-    return columns(
-        time_s=_time(plain)[few],
-        command_rad=plain.channels["command"][few],
-        angle_rad=plain.channels["angle"][few],
-        angle_fed_rad=fed.channels["angle"][few],
-        current_A=plain.channels["current"][few],
-        current_fed_A=fed.channels["current"][few],
+    return _thinned(
+        time_s=_time(plain),
+        command_rad=plain.channels["command"],
+        angle_rad=plain.channels["angle"],
+        angle_fed_rad=fed.channels["angle"],
+        current_A=plain.channels["current"],
+        current_fed_A=fed.channels["current"],
     )
 
 
 def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    few = slice(None, None, _THIN)
     first = pairs[0][0]
     named = {
-        "time_s": _time(first)[few],
-        "command_rad_s": np.gradient(first.channels["command"], first.period)[few],
+        "time_s": _time(first),
+        "command_rad_s": np.gradient(first.channels["command"], first.period),
     }
     for plain, fed in pairs:
-        named[f"{plain.stage}_rad_s"] = _speed(plain)[few]
-        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)[few]
-    return columns(**named)
+        named[f"{plain.stage}_rad_s"] = _speed(plain)
+        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)
+    return _thinned(**named)
 
 
 SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
@@ -289,22 +262,10 @@ PERIOD_S = 5.0
 FIRST_S = 2.0
 CYCLES = 2
 _SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-# the data file contains every tenth sample
-
-
-def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
-    """Run the paper's two cases without and with feed-forward; the noise differs from that of the
-    identification.
-    """
-    bench, sequence = load_bench(SINE_BENCH), load_sequence(SINE_SEQUENCE)
-    plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
-    return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
 
 
 def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
-    """Return the tracking error of both cases over two whole cycles, and the energy of one
-    cycle.
-    """
+    """Return the tracking error of both cases, and the energy of one cycle."""
     pairs = list(zip(plain.recordings, fed.recordings, strict=True))
     return Exhibit(
         "compensation",
@@ -313,8 +274,7 @@ def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         "the model is a starting point for compensation; it shows no compensation.",
         (
             f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
-            "command less "
-            f"joint encoder, and electrical energy, over {CYCLES} cycles.",
+            f"command less joint encoder, and electrical energy, over {CYCLES} cycles.",
         ),
         (
             Picture.of(
@@ -333,35 +293,29 @@ def _load(recording: Recording) -> str:
 
 
 def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time from the start of a recording, s, and a mask of the samples of whole
-    cycles.
-    """
+    """Return the time since the start, s, and a mask of the samples of whole cycles."""
     time = np.asarray(recording.time - recording.time[0])
     return time, (time >= _SPAN[0]) & (time < _SPAN[1])
 
 
 def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
     time, part = _part(before)
-    errors = {
-        "without feed-forward": tracking_error(before)[part],
-        "with it": tracking_error(after)[part],
-    }
+    errors = _both(lambda recording: tracking_error(recording)[part], before, after)
     return _load(before), time[part], errors
 
 
 def _sine_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    few = slice(None, None, _THIN)
     named: dict[str, Array] = {}
     for before, after in pairs:
         time, part = _part(before)
-        named["time_s"] = time[part][few]
+        named["time_s"] = time[part]
         both = ((before, before.stage), (after, f"{before.stage}_fed"))
         for recording, name in both:
-            named[f"error_{name}_rad"] = tracking_error(recording)[part][few]
+            named[f"error_{name}_rad"] = tracking_error(recording)[part]
         for recording, name in both:
             power = recording.channels["voltage"] * recording.channels["current"]
-            named[f"power_{name}_W"] = power[part][few]
-    return columns(**named)
+            named[f"power_{name}_W"] = power[part]
+    return _thinned(**named)
 
 
 def _table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
@@ -420,8 +374,7 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
             duration = 2.0 * travel / speed + 0.6
             lines.append(
                 f"  - {{name: {load}-{speed:g}, stage: {load}, weight_kg: {weight:g}, center_deg: "
-                f"{-0.5 * travel:g}, "
-                f"ramp: {ramp}, duration_s: {duration:.9g}}}"
+                f"{-0.5 * travel:g}, ramp: {ramp}, duration_s: {duration:.9g}}}"
             )
     path = scratch / "uniform.yaml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -429,9 +382,7 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
 
 
 def measure(scratch: Path, seed: int) -> UniformStudy:
-    """Run the ramps with both gain sets of the practical bench; return a point for each interval of
-    constant speed.
-    """
+    """Run the ramps with both gain sets; return a point for each interval of constant speed."""
     plan = sequence(scratch)
     points = {}
     for gains, name in GAINS.items():
@@ -444,9 +395,7 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
 
 
 def uniform_exhibit(study: UniformStudy) -> Exhibit:
-    """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
-    the points.
-    """
+    """Return the points with the true friction, and a Stribeck curve fitted to them."""
     sets = {
         "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
         "stiff gains, all points": study.points["stiff"],
@@ -552,7 +501,6 @@ SETTLED = 0.02
 _SMOOTHING_S = (
     0.05  # settling is judged on means over this time, so that sensor noise has little influence
 )
-# the data file contains every tenth sample
 
 
 @dataclass(frozen=True)
@@ -608,9 +556,7 @@ def fire(scratch: Path, seed: int) -> Firing:
 
 
 def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
-    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
-    and load.
-    """
+    """Run the packaged hot firing and return its closed-loop stage."""
     found = fire(scratch, seed)
     caption = (
         "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
@@ -624,15 +570,13 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
         "the angle determines the pressure. The paper gives no controller and no response.",
         (
             f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
-            "through the whole simulated chain, "
-            "pressure measured by a transmitter.",
+            "through the whole simulated chain, pressure measured by a transmitter.",
             _settling(found),
             "The flow first changes in the wrong direction: when the throat opens, more gas flows "
             "out until the pressure falls. " + _hunting(found),
             f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, which varies "
-            f"only with pressure and angle; the motor "
-            f"current that holds and moves the valve against its friction reaches "
-            f"{np.max(np.abs(found.current)):.1f} A.",
+            "only with pressure and angle; the motor current that holds and moves the valve "
+            f"against its friction reaches {np.max(np.abs(found.current)):.1f} A.",
         ),
         (Picture.of("fig_11", caption, _loop_figure(found)),),
         {"fig_11": _loop_data(found)},
@@ -652,17 +596,16 @@ def _loop_figure(found: Firing) -> regulator.Figure:
 
 
 def _loop_data(found: Firing) -> Rows:
-    few = slice(None, None, _THIN)
-    return columns(
-        time_s=found.time[few],
-        flow_command_kg_s=found.flows[0][few],
-        flow_kg_s=found.flows[1][few],
-        pressure_command_Pa=found.pressures[0][few],
-        pressure_Pa=found.pressures[1][few],
-        angle_command_rad=found.angles[0][few],
-        angle_rad=found.angles[1][few],
-        current_A=found.current[few],
-        contact_force_N=found.force[few],
+    return _thinned(
+        time_s=found.time,
+        flow_command_kg_s=found.flows[0],
+        flow_kg_s=found.flows[1],
+        pressure_command_Pa=found.pressures[0],
+        pressure_Pa=found.pressures[1],
+        angle_command_rad=found.angles[0],
+        angle_rad=found.angles[1],
+        current_A=found.current,
+        contact_force_N=found.force,
     )
 
 
@@ -768,12 +711,6 @@ class Sweep:
 def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
     """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
 
-    Args:
-        machine: The bench; its gas generator burns steadily at the closed valve when the motion
-            starts.
-        speed_deg_s: Commanded speed.
-        seed: Seed of the sensor noise.
-
     Raises:
         ValueError: The joint sticks, or is in stick-slip, during the whole motion.
     """
@@ -825,9 +762,7 @@ _ENDS_DEG = np.array([5.0, 29.0])
 
 
 def sweep_exhibit(seed: int) -> Exhibit:
-    """Return Fig. 4 at the speed of the paper, and at a lower speed, at which the pressure follows
-    the throat area.
-    """
+    """Return Fig. 4 at the paper's speed, and where the pressure follows the throat area."""
     machine = true_machine("practical_hot")
     sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
     return Exhibit(
@@ -855,13 +790,11 @@ def _loop_words(found: Sweep) -> str:
     (_, current, pressure, area), (_, last_current, last_pressure, last_area) = found.at(_ENDS_DEG)
     return (
         f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
-        f"current falls from "
-        f"{current:.2f} to {last_current:.2f} A, the pressure from {pressure:.2f} to "
-        f"{last_pressure:.2f} MPa, the area "
-        f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the "
-        f"pressure "
-        f"{found.rank_pressure:.3f}, with the area {found.rank_area:.3f}. The pressure stays up to "
-        f"{100.0 * found.lag:.0f} % above the steady pressure."
+        f"current falls from {current:.2f} to {last_current:.2f} A, the pressure from "
+        f"{pressure:.2f} to {last_pressure:.2f} MPa, the area from {area:.0f} to {last_area:.0f} "
+        f"mm^2. Rank correlation of the current with the pressure {found.rank_pressure:.3f}, with "
+        f"the area {found.rank_area:.3f}. The pressure stays up to {100.0 * found.lag:.0f} % above "
+        "the steady pressure."
     )
 
 

@@ -55,13 +55,7 @@ basin, %.
 
 @dataclass(frozen=True)
 class Printed:
-    """One column of Table 1 or 2 with the printed values.
-
-    Attributes:
-        original: "Original value".
-        identified: "Identified value".
-        error_percent: "Error".
-    """
+    """One column of Table 1 or 2 with the printed values."""
 
     original: float
     identified: float
@@ -85,13 +79,7 @@ TABLE_2: Mapping[str, Printed] = {
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Result of ``rig paper``.
-
-    Attributes:
-        dataset: The two simulated cases.
-        truth: True values of the simulated parameters, by name.
-        runs: Results by method and seed.
-    """
+    """Result of ``rig paper``."""
 
     dataset: Dataset
     truth: Mapping[str, float]
@@ -106,9 +94,7 @@ class Reproduction:
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
     def errors(self, method: str, name: str) -> dict[int, float]:
-        """Return the error for each seed, percent of the true value; infinite without an
-        estimate.
-        """
+        """Return the error for each seed, percent; infinite without an estimate."""
         return {
             seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
             for seed, value in self.found(method, name).items()
@@ -132,13 +118,7 @@ class Reproduction:
 
 
 def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
-    """Simulate the literal bench without noise, and identify it by the paper's and by the default
-    method from every seed.
-
-    Args:
-        seeds: Seeds of the methods; the simulation is deterministic.
-        progress: Called with the current step and the completed share.
-    """
+    """Simulate the literal bench without noise, and identify it by both methods per seed."""
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
     runs: dict[str, dict[int, Identification]] = {method: {} for method in METHODS}
@@ -152,9 +132,7 @@ def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> R
 
 
 def simulate_cases() -> tuple[Dataset, dict[str, float]]:
-    """Simulate Case 1 and Case 2 on the literal bench; return the recordings and the true
-    parameters.
-    """
+    """Return Case 1 and 2 on the literal bench as recordings, and the true parameters."""
     bench = load_bench("literal").value
     machine = bench.mock
     if machine is None:
@@ -248,8 +226,7 @@ def remarks(found: Reproduction) -> list[str]:
             )
         lines += [
             f"{method} method, {stage}: target {target:g} reached by {reached} of {len(runs)} "
-            f"seeds; "
-            f"median cost {number(cost, 3)} {unit} after {generations:.0f} generations."
+            f"seeds; median cost {number(cost, 3)} {unit} after {generations:.0f} generations."
             for stage, target, reached, cost, unit, generations in _searches(found, method)
         ]
     return lines
@@ -286,9 +263,7 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
 
 
 def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return the worst parameter of each method in a table; J is left out, because its errors are
-    reported separately.
-    """
+    """Return the worst parameter of each method in a table but J, whose errors are separate."""
     lines = []
     for method, runs in found.runs.items():
         errors = {name: max(found.errors(method, name).values()) for name in names if name != "J"}
@@ -367,9 +342,7 @@ def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
 
 
 def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:
-    """Return for every search its stage, target, number of seeds that reached the target, median
-    cost, unit and median number of generations.
-    """
+    """Return stage, target, seeds that reached it, median cost, unit, median generations."""
     runs = list(found.runs[method].values())
     out = []
     for k, stage in enumerate(runs[0].stages):
@@ -403,18 +376,15 @@ def chosen() -> list[str]:
     share = math.sqrt(gas.energy_J_kg) / gas.characteristic_velocity_m_s
     return [
         "Gear ratio: with the printed motor constants friction would require 228 to 401 A; "
-        "assumption 5, "
-        "theta = i theta_r, is missing from eq. 1 and 15. The literal bench has i = 1 and no "
-        "current limit, and is used for "
-        f"the tables; the practical bench has i = {practical.motor.gear_ratio:g}, "
-        f"{stiff.voltage_limit_V:g} V and "
+        "assumption 5, theta = i theta_r, is missing from eq. 1 and 15. The literal bench has i = "
+        "1 and no current limit, and is used for the tables; the practical bench has i = "
+        f"{practical.motor.gear_ratio:g}, {stiff.voltage_limit_V:g} V and "
         f"{stiff.current_limit_A:g} A.",
         f"Inertia of the practical bench: {practical.joint.inertia_kg_m2:g} kg m^2 at the joint, "
         f"in place of the printed {literal.joint.inertia_kg_m2:g} kg m^2.",
         f"Position loop: stiff gains {stiff.position_gain:g} 1/s, "
-        f"{stiff.velocity_gain_N_m_s_rad:g} N m s/rad, "
-        f"{stiff.velocity_integral_1_s:g} 1/s; soft gains, position P only, "
-        f"{soft.loops.position_gain:g} N m/rad.",
+        f"{stiff.velocity_gain_N_m_s_rad:g} N m s/rad, {stiff.velocity_integral_1_s:g} 1/s; soft "
+        f"gains, position P only, {soft.loops.position_gain:g} N m/rad.",
         "omega_sf = 0.0557 rad/s as in the text, not the 0.0577 of Table 1; mu = 0.086 is read as "
         "mu_s, 0.4 pi r t as 0.4 pi t, and the amplitude 20 as 20 degrees.",
         "sgn(omega) in eq. 12, 13 and 15, without which friction would drive the joint; at rest "
@@ -423,20 +393,15 @@ def chosen() -> list[str]:
         f"Samples of the identification: {DURATION_S:g} s at {RATE_HZ:g} Hz in each case.",
         f"Ramp of Fig. 2 and 9: {ramp.travel_deg:g} deg at {ramp.speed_deg_s:g} deg/s and back.",
         f"Gas generator: C_r = {gas.characteristic_velocity_m_s:g} m/s; R_g T_g = ({share:.3f} "
-        f"C_r)^2 = "
-        f"{gas.energy_J_kg:.4g} J/kg; V_0 = {gas.free_volume_m3:g} m^3; p_c0 = "
-        f"{1e-6 * gas.back_pressure_Pa:g} MPa; "
-        "r = a p^n in mm/s with p in MPa.",
+        f"C_r)^2 = {gas.energy_J_kg:.4g} J/kg; V_0 = {gas.free_volume_m3:g} m^3; p_c0 = "
+        f"{1e-6 * gas.back_pressure_Pa:g} MPa; r = a p^n in mm/s with p in MPa.",
         "Valve: the plate swings in its own plane on L1 = 0.095 m, its hole over the opening's "
         "centre at 0 deg.",
         "Flow controller of Fig. 5 and 11: flow command to pressure command (eq. 2), PI on the "
-        "logarithm of the "
-        "pressure, anti-windup; its gains are in the sequence file.",
+        "logarithm of the pressure, anti-windup; its gains are in the sequence file.",
         "Compensation: the drive's torque offset (60B2h) from parameters identified from the same "
-        "bench's log, with "
-        "stiffness and damping against the command, and pulses where friction falls too steeply "
-        "for stiffness and damping; the paper "
-        "proposes no compensation.",
+        "bench's log, with stiffness and damping against the command, and pulses where friction "
+        "falls too steeply for stiffness and damping; the paper proposes no compensation.",
     ]
 
 
@@ -491,14 +456,7 @@ def paper_document(
     of_tables: Sequence[Exhibit],
     provenance: Provenance,
 ) -> Document:
-    """Return the reproduction of the paper as a document.
-
-    Args:
-        found: The reproduced tables.
-        figures: Exhibits of the exhibit.
-        of_tables: Exhibits of the tables; the terminal shows only the tables.
-        provenance: Seed, inputs, time.
-    """
+    """Return the reproduction of the paper as a document."""
     sections = (
         *map(_section, (*figures, *of_tables)),
         Section("Chosen here, because the paper does not state it", (_listed(chosen()),), "chosen"),
@@ -534,22 +492,21 @@ def _listed(lines: Sequence[str]) -> Items:
 
 
 def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
-    """Make the runs and draw all figures except those of the tables, in the order of the paper.
-
-    Args:
-        seed: Seed of the simulated benches' noise.
-        progress: Called with the current step and the completed share.
-    """
+    """Make the runs and draw all figures except those of the tables, in the order of the paper."""
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
         progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
-        model = identified(figures.RAMP_BENCH, scratch, seed, _silent)
+        model = identified(figures.RAMP_BENCH, scratch, seed, lambda what, share: None)
         progress("Fig. 2 and 9: slow ramps", 0.2)
-        fig_2, fig_9 = figures.ramp_exhibits(figures.run_ramps(scratch, model, seed))
+        fig_2, fig_9 = figures.ramp_exhibits(
+            *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, seed)
+        )
         progress("compensation: identifying the bench from a separate run", 0.25)
-        model = identified(figures.SINE_BENCH, scratch, seed, _silent)
+        model = identified(figures.SINE_BENCH, scratch, seed, lambda what, share: None)
         progress("compensation: the sine of both cases", 0.4)
-        compensation = figures.compensation_exhibit(*figures.run_sines(scratch, model, seed))
+        compensation = figures.compensation_exhibit(
+            *figures.run_both(figures.SINE_BENCH, figures.SINE_SEQUENCE, scratch, model, seed)
+        )
         progress("eq. 14: uniform motion on two gain sets", 0.45)
         eq_14 = figures.uniform_exhibit(figures.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
@@ -557,7 +514,3 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
         progress("Fig. 5 and 11: the closed loop", 0.9)
         fig_11 = figures.loop_exhibit(scratch, seed)
     return [fig_2, figures.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
-
-
-def _silent(what: str, share: float) -> None:
-    pass

@@ -67,20 +67,13 @@ class DaskCluster:
     """Engine of the workers of a dask scheduler, which need not share files with this process."""
 
     def __init__(self, client: Any, where: str) -> None:
-        """Use a connected client.
-
-        Args:
-            client: The ``distributed.Client``.
-            where: Name of the cluster for messages.
-        """
+        """Use a connected client."""
         self._client = client
         self._where = where
 
     @property
     def shares_files(self) -> bool:
-        """Return False: workers may be on other machines, and then cannot read the files of this
-        process.
-        """
+        """Return False: workers may be on other machines."""
         return False
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
@@ -104,11 +97,7 @@ class DaskCluster:
                 self._client.cancel(list(waiting), force=True)
 
     def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
-        """Wait until a task is finished; return all tasks that are finished.
-
-        Raises:
-            InputError: No worker is present for ``IDLE * WAIT_S``, or the scheduler is gone.
-        """
+        """Wait for finished tasks; fail if there is no worker for ``IDLE * WAIT_S``."""
         without = 0
         while without < IDLE:
             try:
@@ -126,11 +115,6 @@ class DaskCluster:
         )
 
     def _workers(self) -> int:
-        """Return the number of workers.
-
-        Raises:
-            InputError: The scheduler is gone.
-        """
         try:
             return len(self._client.scheduler_info(n_workers=-1)["workers"])
         except self._lost as error:
@@ -148,12 +132,7 @@ class DaskCluster:
         )
 
     def _result(self, future: Any) -> Any:
-        """Return the result of a finished task.
-
-        Raises:
-            InputError: Workers died on the task, the scheduler is gone, or a worker lacks this
-                package.
-        """
+        """Return the result of a finished task, or raise what its failure means to the user."""
         try:
             return future.result()
         except distributed.scheduler.KilledWorker as error:
@@ -168,12 +147,7 @@ class DaskCluster:
 
 
 def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task: Task) -> Result:
-    """Do the work on one task, on a worker that has the same package versions as the calling
-    process.
-
-    Raises:
-        InputError: The package versions differ.
-    """
+    """Do one task on a worker with the package versions of the calling process."""
     found = _fingerprint()
     other = [
         f"{name} {found.get(name, 'missing')} instead of {expected.get(name, 'none')}"
@@ -207,9 +181,6 @@ def _fingerprint() -> dict[str, str]:
 def local_cluster(workers: int) -> Iterator[DaskCluster]:
     """Start worker processes on this machine, and end them with the context.
 
-    Args:
-        workers: Number of worker processes.
-
     Raises:
         InputError: The extra ``dask`` is not installed.
     """
@@ -238,9 +209,6 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
 @contextmanager
 def remote_cluster(address: str) -> Iterator[DaskCluster]:
     """Connect to a scheduler that the user started; keys for TLS are those of dask's configuration.
-
-    Args:
-        address: Address of the scheduler, such as ``tls://10.0.0.5:8786``.
 
     Raises:
         InputError: The extra ``dask`` is not installed, nothing answers at the address, or the

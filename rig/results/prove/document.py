@@ -32,12 +32,9 @@ _RATES = {
     "intervals": "parameters of effects within their interval",
 }
 _METHODS = {
-    "top1": f"one effect, strength {STRONG:g} or more: named first",
-    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
-    "top1_all": "one effect, any strength: named first",
-    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    **{key: _RATES[key] for key in ("top1", "alias_group", "top1_all", "both_named")},
     "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
-    "false_alarms": "no injected effect: false alarms",
+    "false_alarms": _RATES["false_alarms"],
     "outside_named": "outside the catalogue: an effect named",
 }
 _TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
@@ -86,17 +83,14 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
     yield provenance_section(provenance)
 
 
-def _rates(result: Mapping[str, Any]) -> Table:
+def _shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Table:
     """Return the rates of the proof, one row each; rates without trials are left out."""
-    rows = []
-    for key, words in _RATES.items():
-        found = result[key]
-        if found["of"]:
-            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
-            rows.append(
-                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
-            )
-    return Table(("what", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+    rows = tuple((words[key], *_share(rates[key], 1)) for key in words if rates[key]["of"])
+    return Table((title, "trials", "share", "95 % interval"), rows, (1, 2, 3))
+
+
+def _rates(result: Mapping[str, Any]) -> Table:
+    return _shares("what", result, _RATES)
 
 
 def _methods(result: Mapping[str, Any]) -> Table:
@@ -119,24 +113,13 @@ def _methods(result: Mapping[str, Any]) -> Table:
 
 
 def _places(result: Mapping[str, Any]) -> Table:
-    """Return the shares of trials in which the diagnosis located the mismatch where the catalogue
-    locates the effect.
-    """
-    rows = []
-    for key, words in _PLACES.items():
-        found = result["location"][key]
-        if found["of"]:
-            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
-            rows.append(
-                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
-            )
-    return Table(("mismatch located", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+    return _shares("mismatch located", result["location"], _PLACES)
 
 
-def _share(found: Mapping[str, Any]) -> tuple[str, str, str]:
+def _share(found: Mapping[str, Any], digits: int = 0) -> tuple[str, str, str]:
     """Return a rate's hits, share and interval as cells."""
-    band = f"{100 * found['low']:.0f} to {100 * found['high']:.0f} %"
-    return f"{found['n']} of {found['of']}", f"{100 * found['share']:.0f} %", band
+    share, low, high = (f"{100 * found[key]:.{digits}f}" for key in ("share", "low", "high"))
+    return f"{found['n']} of {found['of']}", f"{share} %", f"{low} to {high} %"
 
 
 def _reliability(result: Mapping[str, Any]) -> Table:

@@ -234,9 +234,7 @@ def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, in
 
 
 def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
-    """Return ``count`` names; each name occurs once before any name occurs again, in random order,
-    so that the counts of the names differ by at most one.
-    """
+    """Return ``count`` names in random order, each once before any occurs again."""
     order: list[str] = []
     while len(order) < count:
         order += [names[k] for k in rng.permutation(len(names))]
@@ -244,13 +242,7 @@ def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]
 
 
 def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
-    """Draw one trial.
-
-    Args:
-        kind: Kind of the trial.
-        names: Effects to inject.
-        seed: Entropy of the draws; equal entropy results in equal trials.
-    """
+    """Draw one trial."""
     rng = np.random.default_rng(list(seed))
     machine = _nominal(rng)
     effects: Effects = {}

@@ -60,11 +60,7 @@ class Engine(Protocol):
 
 
 def died(what: str) -> InputError:
-    """Return the error for workers that die repeatedly.
-
-    Args:
-        what: What died, and how often.
-    """
+    """Return the error for workers that die repeatedly."""
     return InputError(
         f"{what}, perhaps for lack of memory; all finished work is kept: repeat the command with "
         f"this --out and with fewer --jobs or workers"
@@ -76,13 +72,7 @@ Files = Mapping[str, bytes]
 
 
 class Bundle(NamedTuple):
-    """A campaign with the files of its folder.
-
-    Attributes:
-        folder: Name of the folder.
-        campaign: Name of the campaign file in the folder.
-        files: All files in the folder.
-    """
+    """A campaign with the files of its folder."""
 
     folder: str
     campaign: str
@@ -126,9 +116,8 @@ def bundle(campaign: Path) -> Bundle:
     astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
     if astray:
         raise InputError(
-            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker "
-            f"on another machine cannot read the files; move these files into {folder}, or use "
-            f"--jobs"
+            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker on "
+            f"another machine cannot read the files; move these files into {folder}, or use --jobs"
         )
     try:
         return Bundle(folder.name, campaign.name, read_folder(folder))
@@ -154,13 +143,7 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
 
 
 def without_place(record: Any, folder: Path) -> Any:
-    """Return a record in which paths begin with the name of the folder, so that the bytes of the
-    record depend neither on the place of the folder nor on the place of this program.
-
-    Args:
-        record: Record of plain values.
-        folder: The folder.
-    """
+    """Return a record that does not depend on the places of its folder and of this program."""
     places = {folder.parent, folder.parent.absolute(), folder.parent.resolve()} - {Path(".")}
     homes = [str(p) for p in sorted(places, key=lambda p: -len(str(p)))]
     homes.append(str(Path(rig.__file__).parents[1]))
@@ -185,11 +168,7 @@ AHEAD = 2
 
 
 class Processes(NamedTuple):
-    """Engine of processes on this machine.
-
-    Attributes:
-        jobs: Number of processes; with 1 the work is done in this process.
-    """
+    """Engine of processes on this machine."""
 
     jobs: int
 
@@ -224,19 +203,9 @@ class Processes(NamedTuple):
         again: list[Task],
         waiting: dict[Future[Result], Task],
     ) -> Iterator[Result]:
-        """Yield results until all tasks are done.
-
-        Args:
-            one: Function that does one task.
-            tasks: Tasks that were never submitted.
-            again: Tasks to submit first, which this function removes from the list.
-            waiting: Filled with the tasks that are submitted and have no result.
-
-        Raises:
-            BrokenProcessPool: A worker died.
-        """
+        """Yield results until all tasks are done; ``waiting`` has those without a result."""
         with ProcessPoolExecutor(
-            self.jobs, mp_context=get_context("spawn"), initializer=follow_parent
+            self.jobs, mp_context=get_context("spawn"), initializer=_follow_parent
         ) as pool:
             try:
                 while True:
@@ -257,12 +226,8 @@ class Processes(NamedTuple):
                 pool.shutdown(cancel_futures=True)
 
 
-def follow_parent() -> None:
-    """End this worker when its parent ends, whatever signal ends the parent.
-
-    A worker that waits for work holds both ends of its queue, and therefore reads no end of file
-    when its parent ends.
-    """
+def _follow_parent() -> None:
+    """End this worker with its parent; its own ends of the queue hide the end of file."""
     Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 
 
@@ -277,11 +242,6 @@ def _end_with_parent() -> None:
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
     """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
     end with the context.
-
-    Args:
-        jobs: Processes of this command.
-        workers: Workers of a local cluster, or None.
-        scheduler: Address of a scheduler, or None.
 
     Raises:
         InputError: More than one of the options is given, or the cluster cannot be used.

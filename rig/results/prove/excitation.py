@@ -58,9 +58,7 @@ class Experiment(NamedTuple):
 
 
 def tones(*parts: tuple[float, float, float]) -> Array:
-    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), with a smooth
-    start and end.
-    """
+    """Return a sum of sines (deg, Hz, rad) with a smooth start and end."""
     t = _time()
     swing = np.zeros_like(t)
     for amplitude_deg, frequency_Hz, phase in parts:
@@ -89,10 +87,10 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     return _filled([np.convolve(np.concatenate(pieces), window / window.sum(), mode="same")])
 
 
-def dwells(
+def _dwells(
     rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center_deg: float = 0.0
 ) -> Array:
-    """Return moves back and forth, each after a rest with a duration from ``rests_s``."""
+    """Return moves back and forth, each after one of the rests."""
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     at = 0.0
     stops = [np.deg2rad(center_deg + s * step_deg) for s in (1.0, -1.0)]
@@ -105,12 +103,10 @@ def dwells(
     return _filled(pieces)
 
 
-def small_loops(
+def _small_loops(
     amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]
 ) -> Array:
-    """Return loops of increasing size around several angles; the torque of the first loops is below
-    the breakaway torque, that of the last loops above.
-    """
+    """Return growing loops around several angles, from below breakaway to above it."""
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(centers_deg)
     at = 0.0
@@ -163,14 +159,14 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
         "g",
         "fit",
         0.0,
-        lambda: dwells((0.1, 0.1, 8.0, 0.2, 0.5, 4.0, 1.0, 0.1, 2.0, 0.2, 0.5), 5.0, 0.35),
+        lambda: _dwells((0.1, 0.1, 8.0, 0.2, 0.5, 4.0, 1.0, 0.1, 2.0, 0.2, 0.5), 5.0, 0.35),
     ),
-    ("h", "fit", 0.0, lambda: small_loops((1e-4, 2e-4, 4e-4, 1e-3, 3e-3), 2.0, (0.0, 9.0, -14.0))),
+    ("h", "fit", 0.0, lambda: _small_loops((1e-4, 2e-4, 4e-4, 1e-3, 3e-3), 2.0, (0.0, 9.0, -14.0))),
     (
         "i",
         "validate",
         10.0,
-        lambda: dwells((0.1, 3.0, 0.3, 0.3, 6.0, 0.1, 1.0, 1.0), 12.0, 0.5, -3.0),
+        lambda: _dwells((0.1, 3.0, 0.3, 0.3, 6.0, 0.1, 1.0, 1.0), 12.0, 0.5, -3.0),
     ),
     ("j", "fit", 20.0, lambda: ramps(26.0, (1.0, 0.5, 0.25, 0.12, 0.05))),
     ("k", "validate", 20.0, lambda: tones((17.0, 0.17, 1.2), (6.0, 0.53, 0.2), (0.5, 3.7, 2.0))),
@@ -195,12 +191,7 @@ _FIXED = {
 
 @cache
 def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
-    """Return the experiments in the order in which they are made; the last experiment repeats the
-    first.
-
-    Args:
-        gravity: Whether the bench has no lever, so that the load is a weight fixed to the joint.
-    """
+    """Return the experiments in order; the last repeats the first."""
     plan = tuple(Experiment(name, role, weight, command()) for name, role, weight, command in _PLAN)
     if gravity:
         plan = tuple(e._replace(weight_kg=0.0, fixed=_FIXED[e.weight_kg]) for e in plan)

@@ -1,6 +1,4 @@
-"""Makes a blind gas trial: seals its truth, simulates and writes its firings, and computes the
-strength of its effect.
-"""
+"""Makes a blind gas trial: seals its truth, simulates and writes its firings."""
 
 from __future__ import annotations
 
@@ -20,8 +18,7 @@ from rig.common.places import replacing, write_text
 from rig.config.sequence import raised_cosine
 from rig.results.prove.draw import Assigned, Draw, Kind, apportion, either, in_turn, log
 from rig.results.prove.excitation import CYCLE_S, Array
-from rig.results.prove.generate import Sealed, seal_truth
-from rig.results.prove.truth import repeated_salt
+from rig.results.prove.truth import Sealed, place_of_trial, repeated_salt, seal_truth
 
 BURN_S = 20.0
 MOVE_S = 0.25
@@ -29,9 +26,7 @@ MOVE_S = 0.25
 
 
 class GasExperiment(NamedTuple):
-    """Plan of one firing: name of the file, role as in the campaign file, and valve angle commanded
-    in each cycle, rad, shape (n,).
-    """
+    """Plan of one firing; ``command`` is the valve angle in each cycle, rad, shape (n,)."""
 
     name: str
     role: Literal["fit", "validate"]
@@ -39,9 +34,7 @@ class GasExperiment(NamedTuple):
 
 
 def steps(levels_deg: Sequence[float]) -> Array:
-    """Return valve angles with a pause of equal length at each level, starting with the closed
-    valve.
-    """
+    """Return valve angles with equal pauses at each level, starting with the closed valve."""
     n, move = round(BURN_S / CYCLE_S), round(MOVE_S / CYCLE_S)
     rise = raised_cosine(np.arange(1, move + 1) * CYCLE_S, MOVE_S)
     out = np.zeros(n)
@@ -54,9 +47,7 @@ def steps(levels_deg: Sequence[float]) -> Array:
 
 
 def sweep(centre_deg: float, amplitude_deg: float, first_Hz: float, last_Hz: float) -> Array:
-    """Return a sine whose frequency rises linearly, around an angle, with ramps to and from this
-    angle.
-    """
+    """Return a sine whose frequency rises linearly, around an angle, with ramps."""
     t = np.arange(round(BURN_S / CYCLE_S)) * CYCLE_S
     phase = 2.0 * np.pi * (first_Hz * t + 0.5 * (last_Hz - first_Hz) * t**2 / BURN_S)
     window = raised_cosine(t, 1.0)
@@ -142,9 +133,7 @@ class GasRig(NamedTuple):
 
 
 def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
-    """Return kind and effect of each trial, in random order; every effect occurs about equally
-    often.
-    """
+    """Return kind and effect of each trial, in random order, effects about equally often."""
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs, GAS_SHARES)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
@@ -156,13 +145,7 @@ def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
 
 
 def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
-    """Draw one trial.
-
-    Args:
-        kind: Kind of the trial.
-        names: Effects to inject.
-        seed: Entropy of the draws; equal entropy results in equal trials.
-    """
+    """Draw one trial."""
     rng = np.random.default_rng(list(seed))
     base = Machine()
     g = base.gas
@@ -245,7 +228,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
         },
         "maker": {**drawn, "machine": asdict(rig.machine)},
     }
-    return seal_truth(out, number, truth, repeated_salt(*seed))
+    return seal_truth(place_of_trial(out, number), number, truth, repeated_salt(*seed))
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:

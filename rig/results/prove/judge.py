@@ -1,6 +1,4 @@
-"""Evaluates one blind trial by the diagnosis, by the baseline methods and, after the truth is
-opened, by the oracle.
-"""
+"""Evaluates a blind trial by diagnosis and baselines and, once it is opened, by the oracle."""
 
 from __future__ import annotations
 
@@ -74,10 +72,6 @@ def judge(source: Path, seed: int) -> Judgement:
 
 def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     """Fit the true structure to a campaign, after the diagnosis.
-
-    Args:
-        source: The campaign file.
-        names: The true effects, all of which are in the catalogue.
 
     Returns:
         The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model

@@ -1,39 +1,68 @@
-"""Runs a proof: seals every trial, shows the digests, then diagnoses, unseals and scores one trial
-after another.
+"""Runs a proof, of trials of this program or of rigs that other simulators have sealed.
+
+A proof of own trials seals every truth, shows the digests, then simulates, diagnoses, unseals and
+scores one trial after another. A proof of given rigs diagnoses all rigs before it opens a truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, write_json, write_text
 from rig.common.provenance import sha256_file
+from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
-from rig.results.prove.engine import Engine, Files, read_folder, without_place, write_folder
+from rig.results.prove.engine import (
+    Bundle,
+    Engine,
+    Files,
+    bundle,
+    read_folder,
+    unpacked,
+    without_place,
+    write_folder,
+)
 from rig.results.prove.excitation import experiments
 from rig.results.prove.gas_simulate import gas_assignment, seal_gas, simulate_gas
-from rig.results.prove.generate import Sealed, place, seal_rig, simulate_rig
-from rig.results.prove.judge import Judge
-from rig.results.prove.row import VERSION, row_of
-from rig.results.prove.simulate import FLOOR_SUFFIX
-from rig.results.prove.truth import repeated_salt, sealed_content, unseal
+from rig.results.prove.judge import Judge, Judgement
+from rig.results.prove.score import REFUSED, VERSION, row_of
+from rig.results.prove.simulate import (
+    FLOOR_SUFFIX,
+    campaign,
+    reference_of,
+    simulate_rig,
+    strength,
+    truth_of,
+    write,
+)
+from rig.results.prove.truth import (
+    CAMPAIGN_FILE,
+    SEALED,
+    Sealed,
+    Truth,
+    place,
+    place_of_trial,
+    random_salt,
+    repeated_salt,
+    seal_truth,
+    sealed_content,
+    unseal,
+)
 
 SUMS_FILE = "SHA256SUMS"
 
 
 def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
     """Write the digest of every file of the folder; return the path of the list.
-
-    Args:
-        home: The folder.
-        parts: Files and folders to list, relative to ``home``.
 
     Raises:
         OSError: The list cannot be written.
@@ -88,14 +117,10 @@ def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
 def timed_row(out: Path, name: str) -> dict[str, Any]:
     """Return the row of a trial with its durations.
 
-    Args:
-        out: Folder of the proof.
-        name: Name of the trial's files.
-
     Raises:
         InputError: A file is missing or damaged.
     """
-    row = dict(read_json(out / "rows" / f"{name}.json"))
+    row = dict(read_json(out / ROWS / f"{name}.json"))
     beside = out / TIMES / f"{name}.json"
     spent = read_json(beside) if is_file(beside) else {}
     return row | {key: spent.get(key, row.get(key, 0.0)) for key in FIELDS if key != "created"}
@@ -120,7 +145,8 @@ class Family(NamedTuple):
 
 
 def _seal_motion(out: Path, number: int, assigned: Assigned, seed: Seed) -> Sealed:
-    return seal_rig(out, number, draw(*assigned, seed), repeated_salt(*seed))
+    truth = truth_of(draw(*assigned, seed))
+    return seal_truth(place_of_trial(out, number), number, truth, repeated_salt(*seed))
 
 
 def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str, float]:
@@ -135,29 +161,35 @@ FAMILIES: Mapping[str, Family] = {
 
 
 PROOF_FILE = "proof.json"
-ROWS, DIAGNOSES = "rows", "diagnoses"
-REPEATED = (PROOF_FILE, "sealed", DIAGNOSES, "judgements", ROWS)
+ROWS, DIAGNOSES, JUDGEMENTS = "rows", "diagnoses", "judgements"
+REPEATED = (PROOF_FILE, SEALED, DIAGNOSES, JUDGEMENTS, ROWS)
 """Files and folders of a proof whose bytes depend on the settings of the proof alone."""
 
 
 class Proof(NamedTuple):
-    """State of a proof.
-
-    Attributes:
-        out: Folder of the proof.
-        seed: Seed of draws and diagnosis.
-        seals: All trials, with sealed truths.
-        family: Family of the trials, from :data:`rig.results.prove.run.FAMILIES`.
-    """
+    """State of a proof; ``family`` is the one of own trials."""
 
     out: Path
     seed: int
-    seals: tuple[Sealed, ...]
+    rigs: tuple[Sealed, ...]
     family: str = MOTION
 
-    def row_file(self, number: int) -> Path:
-        """Return the path of the file with a trial's row."""
-        return self.out / ROWS / f"{number:04d}.json"
+    def file(self, folder: str, rig: Sealed) -> Path:
+        """Return the path of the file of a rig in a folder of the proof."""
+        return self.out / folder / f"{rig.name}.json"
+
+
+Progress = Callable[[str, float], None]
+Done = TypeVar("Done")
+
+
+def _told(
+    results: Iterable[Done], left: int, of: int, words: Callable[[Done], str], progress: Progress
+) -> Iterator[Done]:
+    """Yield the results of the rigs that are left; after each, tell how many are done."""
+    for done, result in enumerate(results, start=of - left + 1):
+        yield result
+        progress(f"{words(result)}, {done} of {of}", done / of)
 
 
 def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
@@ -172,24 +204,23 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
     if is_file(file):
         begun = seals_begun(file, settings)
         try:
-            seals = tuple(place(out, int(number), digest) for number, digest in begun.items())
+            rigs_begun = tuple(place_of_trial(out, int(n), digest) for n, digest in begun.items())
         except ValueError as error:
             raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
         _make_folders(out)
-        return Proof(out, seed, seals, family)
+        return Proof(out, seed, rigs_begun, family)
     _make_folders(out)
     made = FAMILIES[family]
     drawn = enumerate(made.assignment(rigs, seed), start=1)
     seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
-    write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
+    digests = {str(n): s.digest for n, s in enumerate(seals, start=1)}
+    write_json(file, {"settings": settings, "seals": digests})
     return Proof(out, seed, seals, family)
 
 
-def _make_folders(out: Path) -> None:
-    """Make the folders of a proof; a proof that was copied, or begun by an older version, may lack
-    some folders.
-    """
-    for name in (ROWS, DIAGNOSES, TIMES):
+def _make_folders(out: Path, *more: str) -> None:
+    """Make the folders of a proof, of which a copied or older proof may lack some."""
+    for name in (ROWS, DIAGNOSES, TIMES, *more):
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
@@ -233,16 +264,7 @@ class Trial(NamedTuple):
 
 
 class Proved(NamedTuple):
-    """Result of one trial as a worker returns it.
-
-    Attributes:
-        number: Number of the trial.
-        diagnosis: The record of ``rig diagnose --json`` without date and duration.
-        row: Row of the trial without durations.
-        times: Date and durations.
-        floor: Noise floors of the trial's reference simulation.
-        files: Recordings of the trial, if they are kept.
-    """
+    """Result of one trial as a worker returns it."""
 
     number: int
     diagnosis: Mapping[str, Any]
@@ -253,39 +275,28 @@ class Proved(NamedTuple):
 
 
 def work(
-    proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Callable[[str, float], None]
+    proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Progress
 ) -> list[dict[str, Any]]:
     """Diagnose and score the trials that have no row yet; return all rows in order.
-
-    Args:
-        proof: The proof as begun.
-        judge: Judges a campaign; with more than one worker it must be importable.
-        engine: Engine that does the work on the trials.
-        keep: Whether the recordings of the trials are kept after scoring.
-        progress: Called with the label of a step and the share that is done.
 
     Raises:
         InputError: A truth was changed after it was sealed, or workers die repeatedly.
         OSError: A file cannot be written.
     """
-    assigned = FAMILIES[proof.family].assignment(len(proof.seals), proof.seed)
-    todo = [s for s in proof.seals if not is_file(proof.row_file(s.number))]
-    done = len(proof.seals) - len(todo)
-    trials = (
-        Trial(s.number, assigned[s.number - 1], sealed_content(s.truth), s.truth, s.digest)
-        for s in todo
-    )
+    assigned = FAMILIES[proof.family].assignment(len(proof.rigs), proof.seed)
+    todo = [
+        Trial(n, given, sealed_content(rig.truth), rig.truth, rig.digest)
+        for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
+        if not is_file(proof.file(ROWS, rig))
+    ]
     one = partial(prove_trial, seed=proof.seed, family=proof.family, judge=judge, keep=keep)
-    for proved in engine.each(one, trials):
+    results = engine.each(one, todo)
+    for proved in _told(
+        results, len(todo), len(proof.rigs), lambda p: f"trial {p.number} diagnosed", progress
+    ):
         _store(proof, proved)
-        done += 1
-        progress(
-            f"trial {proved.number} diagnosed, {done} of {len(proof.seals)}",
-            done / len(proof.seals),
-        )
     write_sums(proof.out, REPEATED)
-    names = [f"{s.number:04d}" for s in proof.seals]
-    return [timed_row(proof.out, name) for name in names]
+    return [timed_row(proof.out, rig.name) for rig in proof.rigs]
 
 
 def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) -> Proved:
@@ -300,7 +311,7 @@ def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) 
     """
     with TemporaryDirectory(prefix="loadrig-") as scratch:
         home = Path(scratch)
-        sealed = place(home, trial.number, trial.digest)
+        sealed = place_of_trial(home, trial.number, trial.digest)
         sealed.truth.parent.mkdir()
         strengths = FAMILIES[family].simulate(sealed, trial.assigned, (seed, trial.number))
         beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
@@ -325,18 +336,370 @@ def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) 
 
 def _store(proof: Proof, proved: Proved) -> None:
     """Write the files of one trial; the row is written last, because it marks the trial as done."""
-    where = place(proof.out, proved.number)
-    name = f"{proved.number:04d}.json"
+    where = place_of_trial(proof.out, proved.number)
     write_folder(where.campaign.parent, proved.files)
     if proved.floor:
         write_json(where.truth.with_suffix(FLOOR_SUFFIX), proved.floor)
-    write_json(proof.out / DIAGNOSES / name, proved.diagnosis)
-    write_json(proof.out / TIMES / name, proved.times)
-    write_json(proof.row_file(proved.number), proved.row)
+    write_json(proof.file(DIAGNOSES, where), proved.diagnosis)
+    write_json(proof.file(TIMES, where), proved.times)
+    write_json(proof.file(ROWS, where), proved.row)
 
 
 def diagnosis_seed(seed: int, number: int) -> int:
-    """Return the seed of a trial's diagnosis, from which the draws of the truth cannot be
-    reproduced.
-    """
+    """Return the seed of a diagnosis, from which no truth can be drawn again."""
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])
+
+
+SUFFIXES = (".yaml", ".yml", ".json")
+PREFIX = "rig-"
+"""Name of a rig's folder if the file of its truth is named by a number, as ``rig prove`` writes
+it.
+"""
+
+
+def sealed_rigs(home: Path) -> list[Sealed]:
+    """Return the rigs of a folder in order of their names, with the digests of their truths.
+
+    Raises:
+        InputError: The folder has no rigs, or a truth cannot be read.
+    """
+    found = list(_found(home))
+    if not found:
+        raise InputError(
+            f"{home}: no NAME/{CAMPAIGN_FILE} with a {SEALED}/NAME.yaml or {SEALED}/NAME.json; "
+            f"give --from a folder of sealed rigs (docs/guides/worlds.md)"
+        )
+    return found
+
+
+def _found(home: Path) -> Iterator[Sealed]:
+    for truth in sorted((home / SEALED).glob("*")):
+        if truth.suffix not in SUFFIXES or truth.name.startswith("."):
+            continue
+        for name in (truth.stem, PREFIX + truth.stem):
+            rig = place(home, name)
+            if is_file(rig.campaign):
+                try:
+                    yield rig._replace(truth=truth, digest=sha256_file(truth))
+                except OSError as error:
+                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
+                break
+
+
+class Task(NamedTuple):
+    """One rig to make."""
+
+    number: int
+    assigned: Assigned
+    salt: str
+
+
+class Made(NamedTuple):
+    """One rig that was made.
+
+    Attributes:
+        name: Name of the rig.
+        files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
+    """
+
+    name: str
+    files: Files
+
+
+def seal_all(
+    home: Path,
+    drawn: Sequence[tuple[int, Assigned]],
+    one: Callable[[Task], Made],
+    engine: Engine,
+    progress: Progress,
+    salt: Callable[[int], str] = random_salt,
+) -> list[Sealed]:
+    """Make and write the rigs that do not exist yet; return all rigs with their digests.
+
+    Raises:
+        InputError: Workers die repeatedly.
+        OSError: A file cannot be written.
+    """
+    todo = [
+        Task(n, assigned, salt(n))
+        for n, assigned in drawn
+        if not is_file(place(home, _name(n)).truth)
+    ]
+    results = engine.each(one, todo)
+    for rig in _told(results, len(todo), len(drawn), lambda r: f"{r.name} sealed", progress):
+        write_folder(home, rig.files)
+    write_sums(home)
+    return sealed_rigs(home)
+
+
+@contextmanager
+def making(number: int) -> Iterator[Sealed]:
+    """Yield the paths of a rig in a temporary folder."""
+    with TemporaryDirectory(prefix="loadrig-") as scratch:
+        yield place(Path(scratch), _name(number))
+
+
+def made(where: Sealed) -> Made:
+    """Return the files of a rig that was written into a temporary folder."""
+    files = read_folder(where.campaign.parents[1])
+    truth = f"{SEALED}/{where.truth.name}"
+    return Made(where.name, {**{k: v for k, v in files.items() if k != truth}, truth: files[truth]})
+
+
+def _name(number: int) -> str:
+    return f"{PREFIX}{number:04d}"
+
+
+def seal_own(home: Path, rigs: int, seed: int, engine: Engine, progress: Progress) -> list[Sealed]:
+    """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
+
+    Trials that exist already are kept, so that a call that was stopped can be repeated.
+
+    Raises:
+        InputError: Workers die repeatedly.
+        OSError: A file cannot be written.
+    """
+    drawn = list(enumerate(assignment(rigs, seed), start=1))
+    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)
+
+
+def _seal(task: Task, seed: int) -> Made:
+    """Simulate and seal one trial in a temporary folder."""
+    with making(task.number) as where:
+        rig = draw(*task.assigned, (seed, task.number))
+        plan = experiments(rig.gravity)
+        recorded = campaign(rig, plan)
+        write(where.campaign.parent, rig.machine, recorded)
+        truth: dict[str, Any] = truth_of(rig)
+        if rig.machine.effects:
+            reference = reference_of(rig, plan)
+            write(where.reference.parent, rig.machine, reference)
+            truth["strength"] = strength(recorded, reference)
+        seal_truth(where, where.name, truth, task.salt)
+        return made(where)
+
+
+Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
+"""Function of campaign file and true names; returns the errors with the true structure, or None."""
+Floors = Callable[[Path], Mapping[str, float]]
+"""Function of the campaign file of a rig without effects; returns the residual of the nominal model
+in each equation.
+"""
+
+
+def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
+    """Read the seals of a folder, or continue a proof that began with these seals.
+
+    Raises:
+        InputError: The folder has no sealed rigs, or files that were changed; or ``out`` holds a
+            proof with other settings or seals.
+        OSError: A file cannot be written.
+    """
+    given = sealed_rigs(source)[:rigs]
+    check_sums(source)
+    settings = {"rigs": rigs, "seed": seed, "from": _stated(source, out), "row_version": VERSION}
+    file, seals = out / PROOF_FILE, {rig.name: rig.digest for rig in given}
+    if is_file(file):
+        changed = [n for n, d in seals_begun(file, settings).items() if seals.get(n) != d]
+        if changed:
+            raise InputError(
+                f"{source}: the truths of {', '.join(changed)} are missing or were changed since "
+                f"this proof began; give --out another folder"
+            )
+    _make_folders(out, JUDGEMENTS)
+    if not is_file(file):
+        write_json(file, {"settings": settings, "seals": seals})
+    return Proof(out, seed, tuple(given))
+
+
+def _stated(source: Path, out: Path) -> str:
+    """Return the path of the source, relative to the proof's folder if it is inside."""
+    whole = source.resolve()
+    inside = whole.is_relative_to(out.resolve())
+    return str(whole.relative_to(out.resolve()) if inside else whole)
+
+
+def diagnose_all(proof: Proof, judge: Judge, engine: Engine, progress: Progress) -> None:
+    """Diagnose the rigs that have no judgement yet; no truth is opened.
+
+    Raises:
+        InputError: Workers die repeatedly, or lack a file of a campaign.
+        OSError: A file cannot be written.
+    """
+    numbered = list(enumerate(proof.rigs, start=1))
+    todo = [(n, r) for n, r in numbered if not is_file(proof.file(JUDGEMENTS, r))]
+    tasks = (
+        ToDiagnose(diagnosis_seed(proof.seed, n), rig.name, given(rig.campaign, engine))
+        for n, rig in todo
+    )
+    results = engine.each(partial(diagnosed, judge=judge), tasks)
+    for said in _told(results, len(todo), len(numbered), lambda r: f"{r.name} diagnosed", progress):
+        # The judgement is written last, because it marks the rig as diagnosed.
+        for folder, record in (
+            (DIAGNOSES, said.diagnosis),
+            (TIMES, said.times),
+            (JUDGEMENTS, said.beside),
+        ):
+            write_json(proof.out / folder / f"{said.name}.json", record)
+
+
+class ToDiagnose(NamedTuple):
+    """One rig to diagnose: seed of the diagnosis, name, and campaign."""
+
+    seed: int
+    name: str
+    campaign: Path | Bundle
+
+
+class Diagnosed(NamedTuple):
+    """One diagnosed rig."""
+
+    name: str
+    diagnosis: Mapping[str, Any]
+    beside: Mapping[str, Any]
+    times: Mapping[str, Any]
+
+
+def given(campaign: Path, engine: Engine) -> Path | Bundle:
+    """Return a campaign in the form in which a worker of the engine can read it.
+
+    Raises:
+        InputError: The campaign has files outside its folder, which another machine cannot read.
+    """
+    return campaign if engine.shares_files else bundle(campaign)
+
+
+def diagnosed(task: ToDiagnose, judge: Judge) -> Diagnosed:
+    """Diagnose one rig; the result depends on the arguments alone, except for its times."""
+    with unpacked(task.campaign) as campaign:
+        try:
+            judgement = judge(campaign, task.seed)
+        except InputError as error:
+            judgement = _refusal("; ".join(error.problems))
+        except Exception as error:  # noqa: BLE001 - a failure on one rig is a result of the proof
+            trace = traceback.format_exc()
+            judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
+        diagnosis, times = without_times(without_place(judgement.diagnosis, campaign.parent))
+    beside = {
+        "baselines": {method: list(names) for method, names in judgement.baselines.items()},
+        "left": dict(judgement.left),
+    }
+    spent = {"seconds": judgement.seconds, "baseline_seconds": judgement.baseline_seconds}
+    return Diagnosed(task.name, diagnosis, beside, times | spent)
+
+
+def _refusal(message: str, trace: str = "") -> Judgement:
+    """Return the judgement of a rig that could not be diagnosed."""
+    fit = dict.fromkeys(("validate_baseline_rms", "validate_final_rms", "noise_floor_rms"))
+    record: dict[str, Any] = {
+        "verdict": REFUSED,
+        "message": message,
+        "traceback": trace,
+        "effects": [],
+        "fit": {"equation": None, **fit},
+        "fits": [],
+        "location": None,
+        "parameter_shift": {},
+        "p_value": None,
+    }
+    return Judgement(record, {}, lambda _names: None, 0.0, 0.0)
+
+
+def score_all(
+    proof: Proof, oracle: Oracle, floors: Floors, engine: Engine, progress: Progress
+) -> list[dict[str, Any]]:
+    """Open the truths and score the judgements; return all rows in order.
+
+    Raises:
+        InputError: A rig is not diagnosed yet; a truth was changed or is not valid; workers die
+            repeatedly.
+        OSError: A file cannot be written.
+    """
+    missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]
+    if missing:
+        raise InputError(
+            f"{proof.out}: not diagnosed yet: {', '.join(missing)}; the truths "
+            "are opened only after all rigs are diagnosed"
+        )
+    todo = [rig for rig in proof.rigs if not is_file(proof.file(ROWS, rig))]
+    by_name = {rig.name: (rig, unseal(rig.truth, rig.digest)) for rig in todo}
+    tasks = (_to_score(proof, rig, truth, engine) for rig, truth in by_name.values())
+    results = engine.each(partial(fitted, oracle=oracle, floors=floors), tasks)
+    for fits in _told(results, len(todo), len(proof.rigs), lambda r: f"{r.name} scored", progress):
+        rig, truth = by_name[fits.name]
+        write_json(proof.file(ROWS, rig), _row(proof, rig, truth, fits))
+    write_sums(proof.out, REPEATED)
+    return [timed_row(proof.out, rig.name) for rig in proof.rigs]
+
+
+class ToScore(NamedTuple):
+    """One rig to score.
+
+    Attributes:
+        name: Name of the rig.
+        campaign: Campaign of the rig if the true structure is fitted to it, else None.
+        names: True effects of the rig.
+        reference: Campaign of the rig without its effects, or None if there is none.
+    """
+
+    name: str
+    campaign: Path | Bundle | None
+    names: Sequence[str]
+    reference: Path | Bundle | None
+
+
+class Fits(NamedTuple):
+    """Errors of the true structure, residuals without effects; None if not fitted."""
+
+    name: str
+    oracle: Mapping[str, Any] | None
+    floor: Mapping[str, float] | None
+
+
+def _to_score(proof: Proof, rig: Sealed, truth: Truth, engine: Engine) -> ToScore:
+    refused = read_json(proof.file(DIAGNOSES, rig))["verdict"] == REFUSED
+    asked = truth.kind in ("one", "two") and not refused
+    beside = is_file(rig.reference) and not refused
+    return ToScore(
+        rig.name,
+        given(rig.campaign, engine) if asked else None,
+        list(truth.scored),
+        given(rig.reference, engine) if beside else None,
+    )
+
+
+def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
+    """Fit the true structure to a rig, and the nominal model to that rig without its effects."""
+    held = floor = None
+    if task.campaign is not None:
+        with unpacked(task.campaign) as campaign:
+            held = oracle(campaign, task.names)
+    if task.reference is not None:
+        with unpacked(task.reference) as campaign:
+            floor = floors(campaign)
+    return Fits(task.name, held, floor)
+
+
+def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
+    diagnosis = read_json(proof.file(DIAGNOSES, rig))
+    beside = read_json(proof.file(JUDGEMENTS, rig))
+    excused = list(truth.excused)
+    diagnosis["effects"] = [e for e in diagnosis["effects"] if e["name"] not in excused]
+    if excused and not diagnosis["effects"] and diagnosis["verdict"] in ("named", "ambiguous"):
+        diagnosis["verdict"] = "nothing_missing"
+    judgement = Judgement(
+        diagnosis, beside["baselines"], lambda _names: None, 0.0, 0.0, beside["left"]
+    )
+    floor = truth.floor if fits.floor is None else fits.floor
+    names, recorded = truth.record(rig.name), _recordings(rig.campaign)
+    row = row_of(names, truth.strength, judgement, fits.oracle, rig.digest, floor, recorded)
+    return {**without_times(row)[0], "excused": excused, "axes": truth.axes}
+
+
+def _recordings(campaign: Path) -> list[str]:
+    """Return the names of a campaign's recordings in the form that a diagnosis uses."""
+    names = []
+    for section in load_campaign(campaign).value.recordings:
+        files = (section.file,) if isinstance(section.file, str) else section.file
+        names += [Path(file.removesuffix(".gz")).stem for file in files]
+    return names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,9 +18,18 @@ from drivers.mock.without_bus import Samples, record
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
-from rig.common.places import replacing, write_text
+from rig.common.places import replacing, write_json, write_text
 from rig.results.prove.draw import Rig
-from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment, FixedWeight
+from rig.results.prove.excitation import (
+    CYCLE_S,
+    NOTHING_FIXED,
+    Array,
+    Experiment,
+    FixedWeight,
+    experiments,
+)
+from rig.results.prove.truth import CAMPAIGN_FILE, Sealed
+from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 MOVING_RAD_S = 0.02
@@ -30,9 +39,7 @@ CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "tem
 
 
 class Recorded(NamedTuple):
-    """One recording of a campaign; ``start_s`` is the time from the start of the campaign to the
-    start of the recording.
-    """
+    """One recording; ``start_s`` is its start since the start of the campaign."""
 
     experiment: Experiment
     start_s: float
@@ -40,9 +47,7 @@ class Recorded(NamedTuple):
 
 
 def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate all experiments, one after another on one plant that keeps its temperature, wear and
-    state.
-    """
+    """Simulate all experiments on one plant that keeps temperature, wear and state."""
     machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
     done = []
     clock_s, turning = 0.0, None
@@ -90,9 +95,7 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
 
 
 def _gap(name: str, a: Samples, b: Samples) -> Array:
-    """Return the difference of two recordings of one experiment in a channel, at the samples that
-    can be compared.
-    """
+    """Return the difference of two recordings of one experiment where they can be compared."""
     difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
     if name not in ("current", "voltage"):
         return difference
@@ -110,7 +113,6 @@ def _quantum(values: Array) -> float:
     return float(steps.min()) if steps.size else 1e-3
 
 
-CAMPAIGN_FILE = "campaign.yaml"
 AVERAGED = ("current", "voltage")
 
 
@@ -148,9 +150,7 @@ def write(
 
 
 def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any]:
-    """Return the content of the campaign file: constants that an engineer knows, recordings and
-    channels.
-    """
+    """Return the content of the campaign file: what an engineer knows of the bench."""
     motor, joint = machine.motor, machine.joint
     channels: dict[str, Any] = {name: name for name in ("time", "command", *CHANNELS)}
     channels |= {name: {"column": name, "average": True} for name in AVERAGED}
@@ -229,11 +229,52 @@ def floors_of(campaign: Path) -> dict[str, float]:
 
 
 def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return the remaining strength for each equation: the part of the residual that exceeds the
-    noise floor, over the noise floor.
-    """
+    """Return what exceeds the noise floor, over the noise floor, for each equation."""
     return {
         name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]
         for name in left
         if floor.get(name, 0.0) > 0.0
     }
+
+
+def truth_of(rig: Rig) -> dict[str, Any]:
+    """Return the sealed content of a trial."""
+    maker = {
+        "machine": asdict(rig.machine),
+        "pauses_s": rig.pauses_s,
+        "gravity": rig.gravity,
+        "seed": rig.seed,
+    }
+    return {
+        "effects": as_recorded(rig.machine.effects),
+        "parameters": true_parameters(rig.machine),
+        "maker": maker,
+    }
+
+
+def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Return the effects with times from the start of a recording, not from power-on."""
+    out = {name: dict(parameters) for name, parameters in effects.items()}
+    if "encoder_slip" in out:
+        out["encoder_slip"]["at_s"] -= SETTLE_S
+    if "load_swing" in out:
+        out["load_swing"]["fraction"] *= math.exp(-SETTLE_S / out["load_swing"]["decay_s"])
+    return out
+
+
+def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
+    """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
+
+    The noise floors of the trial's reference simulation are written next to its truth.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    plan = experiments(rig.gravity)
+    recorded = campaign(rig, plan)
+    write(where.campaign.parent, rig.machine, recorded)
+    if not rig.machine.effects:
+        return {}
+    reference = reference_of(rig, plan)
+    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, reference))
+    return strength(recorded, reference)

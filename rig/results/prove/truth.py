@@ -1,6 +1,4 @@
-"""The sealed truth of one rig: names and values of the injected effects, and the effects that are
-not scored.
-"""
+"""The sealed truth of one rig: names and values of the injected effects."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ import json
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -79,9 +77,7 @@ class Truth(Schema):
 
     @property
     def kind(self) -> Kind:
-        """Return the kind of trial: the number of scored effects, and whether they are in the
-        catalogue; ``unscored`` if there are effects and none is scored.
-        """
+        """Return the kind by the scored effects; ``unscored`` if there are others only."""
         if self.effects and not self.scored:
             return "unscored"
         if any(name in self.outside for name in self.scored):
@@ -149,14 +145,61 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
             )
 
 
+CAMPAIGN_FILE = "campaign.yaml"
+SEALED = "sealed"
+"""Folder of the truths."""
+
+
+class Sealed(NamedTuple):
+    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated.
+
+    Attributes:
+        name: Name of the rig; that of a trial of this program is its number, from 0001.
+        campaign: Campaign file.
+        truth: File of the truth.
+        digest: SHA-256 of the truth's file.
+    """
+
+    name: str
+    campaign: Path
+    truth: Path
+    digest: str = ""
+
+    @property
+    def reference(self) -> Path:
+        """Campaign file of the rig without its effects; this file need not exist."""
+        return self.truth.parent / f"{self.name}.reference" / CAMPAIGN_FILE
+
+
+def place(home: Path, name: str) -> Sealed:
+    """Return the files of the rig with this name in a folder of sealed rigs."""
+    return Sealed(name, home / name / CAMPAIGN_FILE, home / SEALED / f"{name}.json")
+
+
+def place_of_trial(out: Path, number: int, digest: str = "") -> Sealed:
+    """Return the files of a trial of this program in the folder of its proof."""
+    name = f"{number:04d}"
+    campaign = out / f"rig-{name}" / CAMPAIGN_FILE
+    return Sealed(name, campaign, out / SEALED / f"{name}.json", digest)
+
+
+def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
+    """Write and seal the truth of one rig; return the rig with its digest.
+
+    Raises:
+        OSError: The truth cannot be written.
+    """
+    where.truth.parent.mkdir(parents=True, exist_ok=True)
+    content = {"truth": 1, "rig": rig, "outside": strangers(truth["effects"]), **truth}
+    return where._replace(digest=seal(where.truth, content, salt))
+
+
 _SALT = 2
 """Separates the draws of salts from those of trials and diagnoses."""
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
-    """Write the truth with a salt, so that the truth cannot be guessed from the digest; return the
-    SHA-256.
-    """
+    """Write the truth with a salt, so that it cannot be guessed; return the SHA-256."""
     text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
     write_text(path, text)
     return sha256(text.encode())

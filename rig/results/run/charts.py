@@ -151,10 +151,8 @@ RESULT = ("error", "current", "temperature")
 """First channels of the panels that show the course of a run, in order."""
 
 
-def result_panels(check: Check | None) -> list[Panel]:
-    """Return the panels at the top of a page: the panel of the trip, tracking error, current and
-    temperature.
-    """
+def _result_panels(check: Check | None) -> list[Panel]:
+    """Return the panel of the trip, tracking error, current and temperature."""
     by_channel = {next(iter(panel.channels)): panel for panel in PANELS}
     usual = [by_channel[name] for name in RESULT]
     return [p for p in PANELS if check in p.checks] + [p for p in usual if check not in p.checks]
@@ -277,9 +275,7 @@ def _scaled(panel: Panel, values: Limit) -> Limit:
 
 
 def _broken(limit: Limit, upper: bool, panel: Panel, series: Series) -> bool:
-    """Return whether the first channel is beyond a limit. An interval in which the limit changes is
-    judged by the wider of both values.
-    """
+    """Return whether the first channel is beyond a limit; while it changes, the wider counts."""
     times, values = (np.array(each) for each in zip(*limit, strict=True))
     half = 0.5 * series.width_s
     found = [
@@ -375,9 +371,7 @@ def _tick_label(value: float, step: float) -> str:
 
 @dataclass(frozen=True)
 class Shade:
-    """A named time interval; ``kind`` is 0 or 1 alternately for phases, 2 for braking, 3 for no
-    power.
-    """
+    """A time interval; ``kind`` 0 and 1 are phases in turn, 2 braking, 3 no power."""
 
     start: float
     stop: float
@@ -419,11 +413,7 @@ class Frame:
 
 @dataclass
 class Plots:
-    """Data of all charts of a page. Each series is stored once, with the channels that are drawn.
-
-    Attributes:
-        charts: Data of the charts, in the order of the page.
-    """
+    """Data of all charts of a page; each series is stored once, with the channels drawn."""
 
     charts: list[dict[str, Any]] = field(default_factory=list)
     _series: list[tuple[Series, TimeAxis, dict[str, None]]] = field(default_factory=list)
@@ -491,9 +481,7 @@ def _digits(values: Array) -> list[float | None]:
 
 
 def _stairs(limit: Limit, axis: TimeAxis) -> Iterator[tuple[float, float, float]]:
-    """Yield start, end and value of each constant part of a limit within the chart; start and end
-    are places on the time axis.
-    """
+    """Yield start and end on the time axis, and value, of each constant part of a limit."""
     begins, ends = axis.ends
     for (start, value), (stop, _) in pairwise([*limit, (ends, math.nan)]):
         if max(start, begins) < min(stop, ends):
@@ -501,9 +489,7 @@ def _stairs(limit: Limit, axis: TimeAxis) -> Iterator[tuple[float, float, float]
 
 
 def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
-    """Yield the section of the last seconds before a run ended, the tripped channel first, with a
-    close-up in which single samples are visible.
-    """
+    """Yield the last seconds of a run, the tripped channel first, with a close-up."""
     moment, traces = recorded.moment, recorded.traces
     if moment is None:
         yield f'<p class="note">{NEVER_MOVED}</p>'
@@ -519,11 +505,11 @@ def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
     off = "drive off" if recorded.record.de_energised else "not recorded"
     shades.append(Shade(last, math.inf, off, 3))
     mark = (moment.time, f"{moment.words} {moment.time:.3f} s")
-    clock = clock_of(recorded.record)
+    clock = _clock_of(recorded.record)
     frame = Frame(TimeAxis([(first, until)]), clock, _inside(shades, first, until), mark)
     charts = _charts(recorded, traces.samples(first, last))
     about = f"Black line: {moment.words} at {moment.time:.3f} s since the start of this recording."
-    about += f" {axis_words(recorded.record)} {_limits_words(recorded)}"
+    about += f" {_axis_words(recorded.record)} {_limits_words(recorded)}"
     yield f'<p class="note">{escape(about)}</p>'
     if charts:
         yield plots.figure(dataclasses.replace(charts[0], tall=True), frame)
@@ -566,26 +552,24 @@ def whole(recorded: Recorded, plots: Plots) -> Iterator[str]:
     words = (
         f"{traces.count} samples. Each column of a chart shows the least and the greatest "
         f"value of the samples in its time interval. Grey: the drive was off{scale}. "
-        f"{axis_words(recorded.record)} {_limits_words(recorded)}"
+        f"{_axis_words(recorded.record)} {_limits_words(recorded)}"
     )
     yield f'<p class="note">{escape(words)}</p><div class="pair">'
     yield from (plots.figure(each, frame) for each in _charts(recorded, traces.reduced, tall=False))
     yield "</div>"
     if _never_late(recorded, traces.reduced):
-        yield f'<p class="note">{escape(not_late_words(recorded.record))}</p>'
+        yield f'<p class="note">{escape(_not_late_words(recorded.record))}</p>'
 
 
 def result(recorded: Recorded, plots: Plots) -> Iterator[str]:
-    """Yield the figure at the top of a page: the tripped channel, tracking error, current and
-    temperature over the whole last recording.
-    """
+    """Yield the top of a page: trip, tracking error, current and temperature."""
     traces = recorded.traces
     if traces.reduced is None:
         yield f'<p class="note">{NEVER_MOVED}</p>'
         return
     frame = _whole_frame(recorded)
     tripped = recorded.tripped
-    for panel in result_panels(None if tripped is None else tripped.check):
+    for panel in _result_panels(None if tripped is None else tripped.check):
         mine = tripped if tripped is not None and tripped.check in panel.checks else None
         each = chart(panel, traces.reduced, recorded.steps, mine, False)
         if each is not None:
@@ -597,7 +581,7 @@ def _whole_frame(recorded: Recorded) -> Frame:
     found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
     mark = None if moment is None else (moment.time, f"{moment.words} {moment.time:.3f} s")
     axis = TimeAxis(recorded.traces.powered)
-    return Frame(axis, clock_of(recorded.record), _shades(found, numbered=True), mark)
+    return Frame(axis, _clock_of(recorded.record), _shades(found, numbered=True), mark)
 
 
 def _charts(recorded: Recorded, series: Series, tall: bool = True) -> list[Chart]:
@@ -625,20 +609,18 @@ def _never_late(recorded: Recorded, series: Series) -> bool:
     return not series.extremes("late")[1] > 0.0
 
 
-def clock_of(record: RunRecord) -> str:
-    """Return the name of the clock by which the samples of a run are timed."""
+def _clock_of(record: RunRecord) -> str:
     return SIMULATED if record.simulated else HOST
 
 
-def axis_words(record: RunRecord) -> str:
-    """Return a sentence on the time axes of a run's charts."""
+def _axis_words(record: RunRecord) -> str:
     if not record.simulated:
         return "Time axis: time of the host's clock since the start of this recording."
     pace = ", in step with real time" if record.realtime else ""
     return f"Time axis: simulated time since the start of this recording{pace}."
 
 
-def not_late_words(record: RunRecord) -> str:
+def _not_late_words(record: RunRecord) -> str:
     """Return the message that replaces the chart of lateness on a simulated bench."""
     words = (
         "Lateness of the control cycle is not drawn: the times of the samples are simulated time, "
@@ -653,9 +635,7 @@ def not_late_words(record: RunRecord) -> str:
 
 
 def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:
-    """Return the shaded phases; in the whole recording (``numbered``) the label is only the name of
-    the stage.
-    """
+    """Return the shaded phases; if ``numbered``, each is named by its stage only."""
     shades = []
     for k, span in enumerate(found):
         if numbered:

@@ -15,10 +15,7 @@ from rig.config.acceptance import NOTHING_MISSING, Bound, Limit, Range
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import describe
-from rig.planning.predicted_load import (
-    PredictedLoad,
-    moves_to_start,
-)
+from rig.planning.predicted_load import PredictedLoad, moves_to_start
 from rig.wiring.devices import Watcher, watcher_of
 
 NOT_JUDGED = (
@@ -26,8 +23,7 @@ NOT_JUDGED = (
 )
 
 
-def acceptance_rows(limits: Sequence[Limit]) -> list[tuple[str, str, str]]:
-    """Return quantity, permitted values and unit of each limit."""
+def _acceptance_rows(limits: Sequence[Limit]) -> list[tuple[str, str, str]]:
     return [_row(limit) for limit in limits]
 
 
@@ -51,20 +47,14 @@ def _range(limit: Range) -> str:
     return f"{limit.low:g} to {limit.high:g}"
 
 
-def describe_acceptance(limits: Sequence[Limit], source: str) -> str:
-    """Return the acceptance limits as a table, or a message if there are none.
-
-    Args:
-        limits: The acceptance limits.
-        source: Origin of the limits.
-    """
+def _describe_acceptance(limits: Sequence[Limit], source: str) -> str:
     if not limits:
         return NOT_JUDGED
     head = (
         f"acceptance: when all stages are done, the run is judged by {len(limits)} "
         f"{'limit' if len(limits) == 1 else 'limits'} of {source}"
     )
-    rows = [list(row) for row in acceptance_rows(limits)]
+    rows = [list(row) for row in _acceptance_rows(limits)]
     return f"{head}\n{table(['acceptance limit', 'permitted', 'unit'], rows)}"
 
 
@@ -72,7 +62,7 @@ def acceptance_record(limits: Sequence[Limit]) -> list[dict[str, Any]]:
     """Return the acceptance limits as JSON values."""
     return [
         {"limit": limit.text, "quantity": name, "permitted": permitted, "unit": unit}
-        for limit, (name, permitted, unit) in zip(limits, acceptance_rows(limits), strict=True)
+        for limit, (name, permitted, unit) in zip(limits, _acceptance_rows(limits), strict=True)
     ]
 
 
@@ -123,16 +113,7 @@ class Duration:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of a dry run.
-
-    Attributes:
-        bench: The bench.
-        load: The plan and its predicted peaks.
-        watcher: Watchdog or guardian that stops the drive when this program dies.
-        duration: Expected duration.
-        acceptance: Limits by which the complete run will be judged.
-        acceptance_source: Origin of these limits.
-    """
+    """Result of a dry run."""
 
     bench: Document[Bench]
     load: PredictedLoad
@@ -185,7 +166,7 @@ def describe_dry_run(run: DryRun) -> str:
     lines = [
         describe(run.load.plan),
         "",
-        describe_acceptance(run.acceptance, run.acceptance_source),
+        _describe_acceptance(run.acceptance, run.acceptance_source),
         "",
         f"Predicted from {run.load.model.source}. {NOT_PREDICTED}",
         table(head, rows, right=range(2, 8)),

@@ -29,9 +29,7 @@ _BY_FILE = frozenset(
 
 
 def first_words(record: RunRecord) -> list[str]:
-    """Return the steps that are required before the run can continue, in order, without a step that
-    the run's message states already; empty if none are known.
-    """
+    """Return the steps before the run can go on that its message does not state."""
     words = [] if record.de_energised else [NOT_READ_BACK]
     check, trip = _tripped(record), record.trip or {}
     found = "" if check is None else remedy(check, trip)
@@ -48,9 +46,7 @@ def go_on_notes(record: RunRecord) -> list[str]:
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
-    """Return the command that continues a run, quoted for the shell, or None if every stage is
-    done.
-    """
+    """Return the command that continues a run, or None if every stage is done."""
     if all(stage.state == "done" for stage in record.stages):
         return None
     place = f"./{folder}" if str(folder).startswith("-") else str(folder)
@@ -58,12 +54,7 @@ def go_on_command(record: RunRecord, folder: Path) -> str | None:
 
 
 def go_on_words(record: RunRecord, folder: Path) -> str:
-    """Return the last lines of the message on an unfinished run; empty for a finished run.
-
-    Args:
-        record: ``run.json`` at the end of the run.
-        folder: The run folder, as the operator named it.
-    """
+    """Return the last lines of the message on an unfinished run; empty for a finished run."""
     if record.state == Ending.DONE.value:
         return ""
     lines = [f"first: {words}" for words in first_words(record)]
@@ -76,9 +67,7 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
 
 
 def _in_fault(record: RunRecord) -> bool:
-    """Return whether the drive was left in a fault, which a run clears only with
-    ``--reset-fault``.
-    """
+    """Return whether the drive was left in a fault, which needs ``--reset-fault``."""
     return record.drive_state in _FAULTS or RESET_HINT in record.message
 
 
@@ -95,9 +84,6 @@ _VERDICTS: Final = frozenset({"accepted", "rejected"})
 
 def read_verdict(folder: Path) -> dict[str, Any] | None:
     """Return the verdict on a run as JSON values.
-
-    Args:
-        folder: The run folder.
 
     Returns:
         ``verdict``, ``accepted`` or ``rejected``; ``checks``, the number of checks; ``failed``, the

@@ -1,6 +1,4 @@
-"""Reads a recording for its page: channels of every sample, limits and phases over time, and the
-time of the end.
-"""
+"""Reads a recording for its page: channels, limits and phases over time, and its end."""
 
 from __future__ import annotations
 
@@ -238,11 +236,7 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return each value of a block less the value at the latest start before or at its sample, and
-    the value at the last start up to the end of the block.
-
-    ``starts`` marks the starts; ``before`` is the value at the last start before the block.
-    """
+    """Return values less that at the latest start, and the value at the last start."""
     if math.isnan(before):
         before = float(values[0])
     index = np.maximum.accumulate(np.where(starts, np.arange(len(values)), -1))
@@ -311,9 +305,7 @@ class Traces:
         return self.powered[-1][1]
 
     def samples(self, first_s: float, last_s: float) -> Series:
-        """Return the samples of the tail between two times, reduced if they are too many to be told
-        apart in a chart.
-        """
+        """Return the tail between two times, reduced if too long for a chart."""
         assert self.tail is not None
         time, values, broken, _ = self.tail
         inside = (time >= first_s) & (time <= last_s)
@@ -339,11 +331,6 @@ def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:
     """Read one recording of a run.
 
     A recording that was not closed in order is read at once, and its damage is reported.
-
-    Args:
-        path: The recording.
-        bench: Constants of the bench.
-        cycle_s: Control cycle, s.
 
     Raises:
         InputError: The file cannot be opened, or is not a recording.
@@ -444,9 +431,7 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the record of the run has the warning of a drive without watchdog, which may
-    follow from the EDS file, which is not attached to the recording.
-    """
+    """Return whether the run warned of a drive without watchdog, as its EDS may say."""
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
     except (ValueError, AttributeError):
@@ -455,11 +440,7 @@ def _unwatched(attachments: Mapping[str, bytes]) -> bool:
 
 
 def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema]) -> Document[Any]:
-    """Validate one attachment.
-
-    Raises:
-        InputError: The attachment is missing, or not valid.
-    """
+    """Validate one attachment."""
     if name not in attachments:
         raise InputError(f"{name} is not attached to the recording")
     try:
@@ -478,13 +459,7 @@ Step = tuple[float, Limits]
 def limit_steps(
     plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]
 ) -> list[Step]:
-    """Return the limits of a run over the time of one recording, including first passes.
-
-    Args:
-        plan: The plan.
-        events: Events of the recording.
-        starts: Time, s, and command, rad, of the first sample of each stage under power.
-    """
+    """Return the limits of a run over the time of one recording, including first passes."""
     steps: list[Step] = [(-math.inf, plan.limits)]
     inside = False
     before: PlannedPass | None = None
@@ -517,9 +492,7 @@ def _pass_steps(
     event: Mapping[str, Any],
     starts: Sequence[tuple[float, float]],
 ) -> Iterator[Step]:
-    """Yield the limits of the move to a first pass, and the tighter angle limits of the first
-    pass.
-    """
+    """Yield the limits of the move to a first pass, and those of the pass."""
     yield event["time"], planned.move_limits
     begun = [command for time, command in starts if time <= event["time"]]
     if before is None and not begun:
@@ -547,9 +520,7 @@ _OFF = frozenset(
 
 @dataclass(frozen=True)
 class Span:
-    """A phase of a stage, from ``start`` to ``stop``, s; ``segment`` is the number of an
-    excitation, or 0.
-    """
+    """A phase of a stage, s; ``segment`` is the number of an excitation, or 0."""
 
     start: float
     stop: float
@@ -569,14 +540,7 @@ class Moment:
 def spans(
     events: Iterable[Mapping[str, Any]], segments: Sequence[SegmentRecord], last: float
 ) -> list[Span]:
-    """Return the phases of one recording in order of time; excitations are named as in
-    ``run.json``.
-
-    Args:
-        events: Events of the recording.
-        segments: Excitations of the recording.
-        last: Time of its last sample, s.
-    """
+    """Return the phases of one recording in order, named as in ``run.json``."""
     known = {segment.index: segment for segment in segments}
     found: list[Span] = []
     current: Span | None = None
@@ -621,23 +585,13 @@ def _closed(span: Span, stop: float, segment: SegmentRecord | None) -> list[Span
     ]
 
 
-def moment_of(
+def _moment_of(
     record: RunRecord,
     tail: Derived,
     segments: Sequence[SegmentRecord],
     events: Sequence[Mapping[str, Any]],
 ) -> Moment:
-    """Return the time at which an unfinished run ended, by the clock of its last recording.
-
-    For a trip this is the time of the trip, otherwise the last sample of the current excitation, or
-    the last sample under power.
-
-    Args:
-        record: ``run.json``.
-        tail: The end of the last recording.
-        segments: Excitations of the recording.
-        events: Events of the last recording.
-    """
+    """Return when an unfinished run ended: its trip, else its last sample in motion."""
     last = float(tail.time[-1])
     words = record.state
     if record.trip and isinstance(record.trip.get("time"), int | float):
@@ -681,11 +635,6 @@ class Tripped:
 class Recorded:
     """One recording of a run, read in order to draw it.
 
-    Args:
-        folder: The run folder.
-        record: ``run.json``.
-        number: Number of the recording, from 1.
-
     Raises:
         InputError: The file cannot be opened, or is not a recording.
     """
@@ -711,13 +660,11 @@ class Recorded:
 
     @property
     def moment(self) -> Moment | None:
-        """Time of the end of the run, if the run stopped in this recording after a first sample;
-        else None.
-        """
+        """Time of the end of a run that stopped in this recording, else None."""
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
             return None
-        return moment_of(self.record, tail, self.segments, self.traces.events)
+        return _moment_of(self.record, tail, self.segments, self.traces.events)
 
     @property
     def tripped(self) -> Tripped | None:

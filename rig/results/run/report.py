@@ -32,9 +32,7 @@ SCRIPTS = ("uplot.js", "chart.js", "run.js")
 
 
 def inlined_script() -> str:
-    """Return the script of every page of a run, which draws the charts; the console permits this
-    script only, by its digest.
-    """
+    """Return the script of the page; the console permits it only, by its digest."""
     # Charts are drawn with at least two pixels a point, so that they are sharp on paper.
     sharp = "window.devicePixelRatio = Math.max(2, window.devicePixelRatio);"
     return "\n".join([sharp, *((STATIC / name).read_text("utf-8") for name in SCRIPTS)])
@@ -119,11 +117,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
-    """Return one part of the page, or a message if the part cannot be made.
-
-    The page is read after failures and made from files that may be damaged or edited, so an error
-    in one part must not prevent the other parts.
-    """
+    """Return one part of the page, or a message: a damaged file must not hide the rest."""
     try:
         return list(made())
     except Exception as error:  # noqa: BLE001 - see above; nothing but the page depends on it
@@ -200,9 +194,7 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield bench, time and operator in one line; the name of the bench is in the file attached to
-    the recording.
-    """
+    """Yield bench, time and operator in one line."""
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
     kind = (
@@ -210,13 +202,10 @@ def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
         if record.simulated
         else '<span class="badge real">REAL BENCH</span>'
     )
-    names = [part.operator for part in record.parts if part.operator] or [
-        record.operator or "not given"
-    ]
     facts = (
         ("bench", f"{escape(bench.name if bench else file)} {kind}"),
         ("begun", escape(_date(record.created))),
-        ("operator", escape(", ".join(dict.fromkeys(names)))),
+        ("operator", escape(record.operators_words)),
     )
     cells = "".join(f"<span><i>{name}</i> {value}</span>" for name, value in facts)
     yield f'<p class="who">{cells}</p>'

@@ -1,6 +1,4 @@
-"""Records of a run in a list of runs: the head for lists, the identified parameters for
-comparisons.
-"""
+"""Records of a run in a list of runs: the head for lists, the details for comparisons."""
 
 from __future__ import annotations
 
@@ -91,9 +89,7 @@ class Constant:
 
     @property
     def half_width(self) -> float | None:
-        """Half the width of the interval, or None if value or interval is missing, or if the
-        estimate is at a bound.
-        """
+        """Half the width of the interval, or None without one or at a bound."""
         if self.value is None or self.low is None or self.high is None or self.at_bound:
             return None
         return 0.5 * (self.high - self.low)
@@ -126,13 +122,7 @@ class Details:
 
 @dataclass(frozen=True)
 class Entry:
-    """One run in a list of runs.
-
-    Attributes:
-        folder: Folder of the run, relative to the searched folder.
-        head: Properties that a list shows.
-        details: Properties that a comparison needs, as JSON; parsed by :meth:`parsed`.
-    """
+    """One run in a list of runs."""
 
     folder: str
     head: Head
@@ -194,9 +184,7 @@ class Wanted:
     until: datetime | None = None
 
     def fits(self, root: Path, entry: Entry) -> bool:
-        """Return whether a run has the wanted properties; a run in which a wanted property is
-        unknown does not fit.
-        """
+        """Return whether a run has the wanted properties; an unknown one does not fit."""
         head = entry.head
         names = (
             (self.bench, (head.bench,)),
@@ -241,9 +229,7 @@ def latest(entries: Sequence[Entry], count: int | None) -> Sequence[Entry]:
 
 
 def state_of(root: Path, entry: Entry) -> str:
-    """Return the state of a run; if the record says `running`, return whether the program of the
-    run still runs or has died.
-    """
+    """Return the state of a run; of one `running`, whether its program has died."""
     if entry.head.kind != "run" or entry.head.state != "running":
         return entry.head.state
     return GOING_ON if is_held(root / entry.folder / OWNER_FILE) else DIED

@@ -1,25 +1,23 @@
-"""Keeps an index of run folders in SQLite; the index can be deleted at any time.
+"""Keeps an index of run folders; the index can be deleted at any time.
 
-Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
-made, and a checksum. A row is used only if its signature agrees with the present files and its
-checksum is right; all other folders are read again. Therefore a deleted, damaged or older index
-does not change the answers.
+Each row holds the entry of one folder, and the signature of the files from which the entry was
+made. A row is used only if its signature agrees with the present files; all other folders are read
+again, and so are all folders if the checksum of the index is wrong. Therefore a deleted, damaged or
+older index does not change the answers.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
-import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_json
+from rig.common.places import is_file, read_bytes, read_json, replacing
 from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
@@ -36,12 +34,7 @@ MOST_DEEP = 8
 
 
 class Found(NamedTuple):
-    """A run folder.
-
-    Attributes:
-        folder: Path relative to the searched folder; ``.`` for the searched folder itself.
-        signature: Inode, time of change and size of each file from which the entry is made.
-    """
+    """A run folder."""
 
     folder: str
     signature: str
@@ -103,74 +96,27 @@ def _stamp(path: str) -> str:
     return f"{found.st_ino}.{found.st_ctime_ns}.{found.st_size}"
 
 
-INDEX_FILE = ".runs.sqlite"
-"""Name of the index in the searched folder."""
-_FORMAT = 3
-"""Format number of the entries, which is increased when the content of entries changes, so that
-older rows are not used.
-"""
-_TABLE = (
-    "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
-    "head TEXT NOT NULL, details TEXT NOT NULL, checksum INTEGER NOT NULL)"
-)
-_WAIT_S = 5.0
-"""Time to wait for another program that writes the index, s."""
-
-
-_NOT_DAMAGED = frozenset(
-    {
-        sqlite3.SQLITE_BUSY,
-        sqlite3.SQLITE_LOCKED,
-        sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_CANTOPEN,
-        sqlite3.SQLITE_FULL,
-        sqlite3.SQLITE_IOERR,
-    }
-)
-"""Errors after which the index is kept, because it is intact but cannot be written now; after other
-errors the index is created again.
-"""
+INDEX_FILE = ".runs.index"
+"""Name of the index in the searched folder: a checksum, and the rows as JSON."""
+_FORMAT = 4
+"""Format of the rows; the checksum begins with it, so that other formats are not used."""
 
 
 class _Row(NamedTuple):
-    """A row of the index, in the order of its columns."""
+    """A row of the index: a run folder, the signature of its files, and its entry."""
 
     folder: str
     signature: str
-    head: str
+    head: dict[str, Any]
     details: str
-    checksum: int
-
-    @classmethod
-    def of(cls, folder: str, signature: str, head: Head, details: Details) -> _Row:
-        """Return the row of a run folder."""
-        first, second = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
-        fields = (folder, signature, first, second)
-        return cls(*fields, _checksum(fields))
-
-    @property
-    def sound(self) -> bool:
-        """Whether the row is unchanged since it was written."""
-        return self.checksum == _checksum(self[:4])
 
     @property
     def entry(self) -> Entry:
-        """The entry of the run folder."""
-        return Entry(self.folder, Head.of(json.loads(self.head)), self.details)
-
-
-def _checksum(fields: Iterable[str]) -> int:
-    return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
+        return Entry(self.folder, Head.of(self.head), self.details)
 
 
 class Listing(NamedTuple):
-    """Result of a search for the runs below a folder.
-
-    Attributes:
-        entries: Runs, the earliest first; folders without a date come first.
-        read: Number of folders that had to be read.
-        note: Message if the index could not be written; empty otherwise.
-    """
+    """Result of a search for the runs below a folder."""
 
     entries: list[Entry]
     read: int
@@ -179,11 +125,6 @@ class Listing(NamedTuple):
 
 def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) -> Listing:
     """Return the runs in and below a folder, from the index if the index is current.
-
-    Args:
-        root: The folder.
-        progress: Called with the number of folders that were read, and the number of folders to
-            read.
 
     Raises:
         InputError: The folder cannot be searched.
@@ -194,88 +135,58 @@ def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) ->
         raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
     rows = _load(file)
-    kept: list[_Row] = []
-    fresh: list[Found] = []
-    for each in found:
-        row = rows.get(each.folder)
-        if row is not None and row.signature == each.signature and row.sound:
-            kept.append(row)
-        else:
-            fresh.append(each)
+    signed = {folder: row.signature for folder, row in rows.items()}
+    kept = [rows[each.folder] for each in found if signed.get(each.folder) == each.signature]
+    fresh = [each for each in found if signed.get(each.folder) != each.signature]
     made: list[_Row] = []
     benches: dict[str, str] = {}
     for each in fresh:
-        made.append(_read(root, each, benches))
+        path = root / each.folder
+        head, details = Head("unreadable", f"{path}: no permission to read"), Details()
+        if not each.signature.startswith("unreadable"):
+            head, details = _read_entry(path, benches)
+        first, second = (dataclasses.asdict(part) for part in (head, details))
+        made.append(_Row(*each, first, json.dumps(second)))
         if progress is not None:
             progress(len(made), len(fresh))
-    entries = [row.entry for row in (*kept, *made)]
-    entries.sort(key=lambda entry: (entry.head.created, entry.folder))
-    gone = rows.keys() - {each.folder for each in found}
-    is_run = any(each.folder == "." for each in found)
-    note = "" if is_run or not (made or gone) else _store(root, file, made, gone)
+    every = [*kept, *made]
+    note = ""
+    if len(kept) < max(len(every), len(rows)) and not any(each.folder == "." for each in found):
+        note = _store(root, file, every)
+    entries = sorted(
+        (row.entry for row in every), key=lambda entry: (entry.head.created, entry.folder)
+    )
     return Listing(entries, len(made), note)
 
 
-def _read(root: Path, found: Found, benches: Benches) -> _Row:
-    if found.signature.startswith("unreadable"):
-        problem = f"{root / found.folder}: no permission to read"
-        return _Row.of(*found, Head("unreadable", problem), Details())
-    return _Row.of(*found, *read_entry(root / found.folder, benches))
-
-
 def _load(file: Path) -> Mapping[str, _Row]:
-    """Return the rows of an index by folder; empty if the index is missing, damaged or of another
-    format.
-    """
-    if not os.path.isfile(file):
-        return {}
+    """Return the rows of an index by folder; empty if it cannot be used."""
     try:
-        with contextlib.closing(_open(file)) as database:
-            if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
-                return {}
-            columns = ", ".join(_Row._fields)
-            return {row[0]: _Row(*row) for row in database.execute(f"SELECT {columns} FROM runs")}
-    except (sqlite3.Error, UnicodeError, TypeError):
+        checksum, _, text = read_bytes(file).partition(b"\n")
+    except OSError:
         return {}
+    if checksum != _checksum(text):
+        return {}
+    return {row[0]: _Row(*row) for row in json.loads(text)}
 
 
-def _open(file: Path) -> sqlite3.Connection:
-    return sqlite3.connect(file, timeout=_WAIT_S, isolation_level=None)
+def _checksum(text: bytes) -> bytes:
+    return str(zlib.crc32(text, _FORMAT)).encode()
 
 
-def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
-    """Write rows, and remove the rows of deleted folders; return a message if the index cannot be
-    written.
-
-    Rows whose files changed while they were read are not written.
-    """
-    kept = [row for row in made if signature_of(str(root / row.folder)) == row.signature]
-    for again in (False, True):
-        try:
-            with contextlib.closing(_open(file)) as database:
-                _write(database, kept, gone)
-            return ""
-        except (sqlite3.Error, UnicodeError) as error:
-            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
-            if again or code in _NOT_DAMAGED:
-                return (
-                    f"{file}: the index cannot be written ({error}); each list therefore "
-                    "reads all runs again"
-                )
-        with contextlib.suppress(OSError):
-            file.unlink()
+def _store(root: Path, file: Path, rows: Iterable[_Row]) -> str:
+    """Write the index with the rows whose files are unchanged; return why that failed."""
+    kept = [row for row in rows if signature_of(str(root / row.folder)) == row.signature]
+    text = json.dumps(kept).encode()
+    try:
+        with replacing(file) as draft:
+            draft.write_bytes(_checksum(text) + b"\n" + text)
+    except OSError as error:
+        return (
+            f"{file}: the index cannot be written ({error}); each list therefore reads all runs "
+            "again"
+        )
     return ""
-
-
-def _write(database: sqlite3.Connection, made: Iterable[_Row], gone: Iterable[str]) -> None:
-    database.execute("BEGIN IMMEDIATE")
-    if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
-        database.execute("DROP TABLE IF EXISTS runs")
-        database.execute(f"PRAGMA user_version = {_FORMAT}")
-    database.execute(_TABLE)
-    database.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", made)
-    database.executemany("DELETE FROM runs WHERE folder = ?", [(folder,) for folder in gone])
-    database.execute("COMMIT")
 
 
 IDENTIFY, DIAGNOSE, ACCEPTANCE = RESULTS
@@ -288,13 +199,8 @@ Benches = MutableMapping[str, str]
 """Names of benches by the SHA-256 of the bench file, so that each file is read once."""
 
 
-def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
-    """Return the entry of a run folder.
-
-    Args:
-        folder: The folder.
-        benches: Known names of benches, to which this function adds names.
-    """
+def _read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
+    """Return the entry of a run folder; ``benches`` are the known names."""
     path = folder / RUN_JSON
     if not is_file(path):
         return _without_record(folder), Details()
@@ -349,14 +255,13 @@ def _without_record(folder: Path) -> Head:
 
 
 def _head(folder: Path, record: RunRecord, benches: Benches) -> Head:
-    operators = [part.operator for part in record.parts if part.operator]
     masses = [s.confirmed_kg for s in record.stages if s.confirmed_kg is not None]
     return Head(
         sequence=record.name,
         created=record.created,
         bench=bench_name(folder, record, benches),
         simulated=record.simulated,
-        operators=tuple(dict.fromkeys(operators or filter(None, [record.operator]))),
+        operators=tuple(record.operators),
         masses_kg=tuple(sorted(set(masses or [s.weight_kg for s in record.stages]))),
         state=record.state,
         message=record.message,
@@ -384,9 +289,7 @@ def _details(record: RunRecord, identified: Mapping[str, Any]) -> Details:
 
 
 def constants_of(identified: Mapping[str, Any]) -> dict[str, Constant]:
-    """Return the parameters of a result of ``rig identify``; a value that is not a number becomes
-    None.
-    """
+    """Return the parameters of an identification; what is not a number becomes None."""
     parameters = identified.get("parameters")
     return {
         str(name): Constant(
@@ -410,9 +313,7 @@ def _verdict(result: Mapping[str, Any], schema: str) -> str:
 
 
 def _result(path: Path, notes: list[str]) -> dict[str, Any]:
-    """Return a result file; empty if the file does not exist or, with a note, if it cannot be
-    read.
-    """
+    """Return a result file; empty if it does not exist or, with a note, is damaged."""
     if not is_file(path):
         return {}
     try:
@@ -443,9 +344,7 @@ def _not_a_run(path: Path, error: InputError | OSError) -> Head:
 
 
 def bench_name(folder: Path, record: RunRecord, benches: Benches | None = None) -> str:
-    """Return the bench's name from the bench file that is attached to the recording, else the name
-    of the file.
-    """
+    """Return the bench's name from the attached bench file, else the file's name."""
     benches = {} if benches is None else benches
     source = record.inputs[BENCH_ATTACHMENT]
     digest = source["sha256"]

@@ -56,13 +56,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class Verification:
-    """All files of a run.
-
-    Attributes:
-        folder: The run folder.
-        files: Files of the run.
-        problems: Messages on errors that prevented the verification of files.
-    """
+    """All files of a run."""
 
     folder: Path
     files: tuple[Verified, ...]
@@ -75,9 +69,7 @@ class Verification:
 
 
 def verify(folder: Path) -> Verification:
-    """Verify the files of a run; a recording without a recorded digest is read, and the checksums
-    inside the recording are tested.
-    """
+    """Verify the files of a run; without a digest, a recording by its own checksums."""
     problems: list[str] = []
     try:
         record = read_record(folder)

@@ -114,10 +114,6 @@ def encode_sample(sample: Sample) -> bytes:
 def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
     """Unpack concatenated samples into one array per field, shape (n,); missing fields are NaN.
 
-    Args:
-        messages: The samples.
-        size: Bytes per sample, from :data:`SAMPLE_SIZES`.
-
     Raises:
         ValueError: The length is not a whole number of samples.
     """

@@ -1,6 +1,4 @@
-"""Reads an intact or damaged recording: returns all undamaged records, and a message on the lost
-records.
-"""
+"""Reads an intact or damaged recording: all undamaged records, and what was lost."""
 
 from __future__ import annotations
 
@@ -71,9 +69,7 @@ def _record_at(data: bytes, offset: int) -> Found:
 
 
 def _next_sound(data: bytes, offset: int) -> int | None:
-    """Return the offset of the first chunk or attachment with correct checksum from ``offset``
-    on, or None.
-    """
+    """Return the offset of the next chunk or attachment with a correct checksum, or None."""
     for match in _CHECKED.finditer(data, offset):
         try:
             found = _record_at(data, match.start())
@@ -340,9 +336,7 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return a text with the times of the samples before and after a loss; empty without samples on
-    both sides.
-    """
+    """Return the times of the samples before and after a loss as text."""
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
         if 0 < before < len(times)
@@ -370,9 +364,6 @@ class Piece(NamedTuple):
 
 class Tail:
     """An open recording that may still grow. A context manager.
-
-    Args:
-        path: The recording.
 
     Raises:
         OSError: The file cannot be opened.
@@ -436,9 +427,7 @@ class Tail:
         return next(recent, START)
 
     def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``, or None if opcode and length are
-        not written yet.
-        """
+        """Return opcode and length of the record at ``offset``, or None if not written yet."""
         self._stream.seek(offset)
         head = self._stream.read(HEADER.size)
         if len(head) < HEADER.size:
@@ -500,39 +489,47 @@ class Attached(NamedTuple):
     content: bytes
 
 
-def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
-    """Yield the samples in order, in blocks of about :data:`BLOCK_BYTES`.
-
-    Args:
-        path: The recording.
-        fields: Fields of :class:`rig.common.sample.Sample` to read.
-
-        Yields:
-            Arrays of shape (n,), by field.
-
-    Raises:
-        DamageError: The recording is not complete; all samples yielded so far are valid.
-        OSError: The file cannot be read.
-    """
-    for item in _items(path, fields, frozenset({_SAMPLES})):
-        if isinstance(item, Block):
-            yield dict(item.samples)
-
-
-def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
-    """Yield the content of a recording except its frames.
+def run_items(
+    path: Path, fields: Sequence[str], *, only_samples: bool = False
+) -> Iterator[Block | Happening | Attached]:
+    """Yield the content of a recording except its frames, in blocks of about :data:`BLOCK_BYTES`.
 
     Events come before the block with the samples of the same time.
 
     Args:
         path: The recording.
         fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
+        only_samples: Whether to yield blocks of samples only.
 
     Raises:
         DamageError: The recording is not complete; all items yielded so far are valid.
         OSError: The file cannot be read.
     """
-    return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
+    wanted = frozenset({_SAMPLES} if only_samples else {_SAMPLES, _EVENTS, _ATTACHMENTS})
+    pending: list[bytes] = []
+    size = waiting = 0
+    require_plain(path)
+    with open(path, "rb") as stream:
+        for kind, contents in _contents(stream, wanted):
+            if kind == _EVENTS:
+                yield from (Happening(json.loads(content)) for content in contents)
+            elif kind == _ATTACHMENTS:
+                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
+            else:
+                size = size or len(contents[0])
+                wrong = next((len(content) for content in contents if len(content) != size), None)
+                if wrong is not None or size not in SAMPLE_SIZES:
+                    raise DamageError(
+                        f"a sample has {wrong or size} bytes, a size that this program does "
+                        "not write: another program wrote this recording"
+                    )
+                pending += contents
+                waiting += size * len(contents)
+                if waiting >= BLOCK_BYTES:
+                    yield _block(pending, size, fields)
+                    pending, waiting = [], 0
+    if pending:
+        yield _block(pending, size, fields)
 
 
 def first_attachment(path: Path, name: str) -> bytes:
@@ -578,45 +575,13 @@ def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
             yield opcode, stream.read(length)
 
 
-def _items(
-    path: Path, fields: Sequence[str], wanted: frozenset[int]
-) -> Iterator[Block | Happening | Attached]:
-    pending: list[bytes] = []
-    size = waiting = 0
-    require_plain(path)
-    with open(path, "rb") as stream:
-        for kind, contents in _contents(stream, wanted):
-            if kind == _EVENTS:
-                yield from (Happening(json.loads(content)) for content in contents)
-            elif kind == _ATTACHMENTS:
-                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
-            else:
-                size = size or len(contents[0])
-                wrong = next((len(content) for content in contents if len(content) != size), None)
-                if wrong is not None or size not in SAMPLE_SIZES:
-                    raise DamageError(
-                        f"a sample has {wrong or size} bytes, a size that this program does "
-                        "not write: another program wrote this recording"
-                    )
-                pending += contents
-                waiting += size * len(contents)
-                if waiting >= BLOCK_BYTES:
-                    yield _block(pending, size, fields)
-                    pending, waiting = [], 0
-    if pending:
-        yield _block(pending, size, fields)
-
-
 def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block:
     every = decode_samples(b"".join(contents), size)
     return Block({name: every[name] for name in fields})
 
 
 def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield channel and contents of the wanted messages, chunk by chunk, events first.
-
-    At the end the number of messages is compared with the count in the file.
-    """
+    """Yield channel and contents of the wanted messages, chunk by chunk, events first."""
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamageError("not an MCAP recording")
     count = 0
@@ -631,7 +596,7 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         if opcode == Opcode.DATA_END:
             break
         if opcode == Opcode.CHUNK:
-            sorted_out, among = chunk_messages(chunk(content), wanted)
+            sorted_out, among = _chunk_messages(chunk(content), wanted)
             count += among
             yield from (
                 (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
@@ -643,10 +608,8 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         raise DamageError("messages are missing")
 
 
-def chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
-    """Return the contents of the wanted messages of a chunk by channel, and the number of all
-    messages in the chunk.
-    """
+def _chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
+    """Return contents of the wanted messages by channel, and the number of all messages."""
     found: dict[int, list[bytes]] = {}
     offset, size, count = 0, len(records), 0
     unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size
