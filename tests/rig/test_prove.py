@@ -16,7 +16,7 @@ from rig.results.prove.draw import assignment
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import FAMILIES
-from rig.results.prove.score import confusion, power, rate, score
+from rig.results.prove.score import confusion, power, rate, row_of, score
 from rig.results.prove.truth import unseal
 
 SEED = 3
