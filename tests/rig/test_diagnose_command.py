@@ -14,7 +14,7 @@ from markupsafe import escape
 
 import rig.results.diagnose.diagnose
 from identification.diagnosis.result import Diagnosis, Shift
-from identification.export.model import CorrectedModel
+from identification.effects.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from identification.export.model import COORDINATES, CorrectedModel, Response, Signals
+from identification.effects.model import COORDINATES, CorrectedModel, Response
+from identification.export.model import Signals
 from identification.numerics.series import sine_cosine
 from identification.recording import Recording
 from identification.views.nominal import NominalTorque, winding_voltage
