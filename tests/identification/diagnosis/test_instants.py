@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.rows import Equation, command_ripple
+from identification.diagnosis.rows import Equation
 from identification.recording import Recording
 from identification.signals import central_difference, values_at_ends
+from identification.views.nominal import command_ripple
 
 from .benches import honest, nominal_fit
 

@@ -16,7 +16,6 @@ from identification.diagnosis.linear import Added
 from identification.diagnosis.locate import (
     Mismatch,
     best_map,
-    curve,
     maps,
     mismatch_of,
     parts,
@@ -53,10 +52,6 @@ def test_a_worn_patch_lies_where_it_is_though_its_torque_turns_with_the_motion()
     assert angle.share > 0.5
     assert any(low < CENTER_RAD < high for low, high in ranges(angle))
     assert angle.mean[np.argmin(np.abs(angle.centre - CENTER_RAD))] > 0.5
-    carried = curve(drawn)
-    assert carried is not None
-    assert (carried.coordinate, carried.against_motion) == ("angle", True)
-    assert curve([]) is None
 
 
 def test_its_own_coordinate_is_given_where_it_explains_as_much() -> None:
@@ -195,18 +190,6 @@ def test_the_motor_angle_needs_turns_and_an_origin() -> None:
         replace(v, recording=replace(v.recording, channels={"time": v.time})) for v in views
     ]
     assert not shows(motor, speed_only)
-
-
-def test_a_curve_is_the_mean_that_explains_most_unless_the_location_explains_as_much() -> None:
-    joint = nominal_fit(honest())
-    torque = joint.equations[0]
-    rest = torque.sigma * joint.residual[joint.stack.part("torque")]
-    made = maps(joint.stack, torque, rest, rest, np.random.default_rng(0))[0]
-    placed = replace(made, coordinate="angle", mean_share=0.5)
-    for share, coordinate in ((0.6, "angle"), (0.7, "time")):
-        carried = curve([placed, replace(made, coordinate="time", mean_share=share)])
-        assert carried is not None
-        assert carried.coordinate == coordinate
 
 
 def test_an_effect_is_located_beside_the_other_effects() -> None:
