@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -116,7 +116,7 @@ growth: $(VENV)/.runtime  ## how a diagnosis grows with samples and with the cat
 	$(BIN)/python benchmarks/diagnosis_growth.py
 
 weight-check: $(VENV)/.runtime  ## how often the weight check is right, on a stiff and a soft bench
-	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
+	for bench in practical practical_soft; do $(BIN)/python -m tests.long.weight_check --bench $$bench || exit 1; done
 
 fault-matrix: $(VENV)/.dev  ## every fault in every phase of a run on each transport (out/fault_matrix.md)
 	$(BIN)/python -m tests.long.fault_matrix
@@ -126,14 +126,10 @@ makes: $(VENV)/.dev  ## drives of nine makes and three other modes: Figure 10; e
 	$(BIN)/python -m tests.long.makes faults
 	$(BIN)/python -m tests.long.makes homing
 
-kill: $(VENV)/.dev  ## kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian
-	$(BIN)/python -m tests.long.kill
-	$(BIN)/python -m tests.long.guardian
-
 process-matrix: $(VENV)/.dev  ## adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)
 	$(BIN)/python -m tests.long.process_matrix
 
-moments: $(VENV)/.dev  ## 200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)
+moments: $(VENV)/.dev  ## 200 random moments each of what befalls run, guardian, adapter, terminal; a killed run is resumed
 	$(BIN)/python -m tests.long.moments
 
 units: $(VENV)/.dev  ## 100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion
@@ -154,10 +150,7 @@ console: $(VENV)/.dev  ## from STOP on the page to the drive read back off, and 
 	$(BIN)/python benchmarks/console.py lateness --making
 
 fuzz: $(VENV)/.dev  ## a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format
-	$(BIN)/python tests/long/fuzz.py
-	$(BIN)/python tests/long/dbc_fuzz.py
-	$(BIN)/python -m tests.long.log_shapes
-	$(BIN)/python -m tests.long.text_fuzz
+	$(BIN)/python -m tests.long.fuzz
 
 mutants: $(VENV)/.dev  ## small changes of the safety modules, which their tests must notice; their branch coverage
 	$(BIN)/python -m tests.long.mutants

@@ -61,16 +61,6 @@ def test_a_module_has_two_importers_or_150_lines(
     assert found(structure, tree(tmp_path, files)) == broken
 
 
-def test_each_command_of_a_table_counts_as_an_importer(
-    structure: ModuleType, tmp_path: Path
-) -> None:
-    full = "x = 1\n" * 150
-    files = {"rig/a/m.py": "x = 1\n", "rig/b.py": f"T = ['rig.a.m:one', 'rig.a.m: text']\n{full}"}
-    assert found(structure, tree(tmp_path, files)) == [("thin modules", "rig.a.m")]
-    (tmp_path / "rig/b.py").write_text(f"T = ['rig.a.m:one', 'rig.a.m:two']\n{full}")
-    assert found(structure, tmp_path) == []
-
-
 @pytest.mark.parametrize(("single", "broken"), [(2, []), (3, [("thin rooms", "rig.a")])])
 def test_a_room_of_files_with_one_importer(
     structure: ModuleType, tmp_path: Path, single: int, broken: list[object]

@@ -62,9 +62,7 @@ def sine(
     role: str = "fit",
     noise: Callable[[int], Array] | None = None,
 ) -> Recording:
-    """Angle amplitude sin(w t) + drift t, exact angle, velocity and joint torque; no sample falls
-    on a reversal.
-    """
+    """Angle amplitude sin(w t) + drift t, exact angle, velocity and joint torque."""
     time = (np.arange(round(duration * rate)) + 0.37) / rate
     w = 2.0 * np.pi * frequency
     angle = amplitude * np.sin(w * time) + drift * time

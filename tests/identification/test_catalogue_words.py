@@ -5,7 +5,6 @@ exist.
 from __future__ import annotations
 
 import ast
-import math
 from pathlib import Path
 from string import Formatter
 
@@ -15,27 +14,8 @@ from hypothesis import strategies as st
 
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.statement import finding, readable, sentence
-from identification.effects import EFFECTS, GAS, MOTION
+from identification.effects import EFFECTS
 from identification.effects.effect import Effect
-
-GROUPS = {
-    "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time "
-    "brush_drop winding_heating "
-    "supply_sag",
-    "transmission": "backlash compliance gear_mesh_ripple transmission_efficiency "
-    "coupling_hysteresis",
-    "friction": "asymmetric_coulomb asymmetric_viscous quadratic_drag stribeck_shape "
-    "friction_memory "
-    "dwell_static_friction presliding position_dependent_friction viscous_thermal_drift "
-    "coulomb_drift",
-    "device": "gravity_imbalance return_spring end_stop load_exponent load_position_dependence "
-    "wrong_weight load_swing "
-    "load_inertia lever_pivot_friction load_dependent_friction",
-    "sensing": "time_skew transport_delay current_offset current_drift encoder_eccentricity "
-    "encoder_slip",
-    "gas generator": "throat_deposition burning_area_change erosive_burning heat_loss leakage",
-}
-"""The catalogue as the specification prints it."""
 
 
 def middle(entry: Effect) -> dict[str, Estimate]:
@@ -47,14 +27,6 @@ def middle(entry: Effect) -> dict[str, Estimate]:
             value, value - 0.01 * (q.high - q.low), value + 0.01 * (q.high - q.low), q.unit
         )
     return found
-
-
-def test_every_name_of_the_specification_stands_in_the_catalogue_once_and_no_other() -> None:
-    rows = (*MOTION, *GAS)
-    assert [(e.group, e.name) for e in rows] == [
-        (g, name) for g, names in GROUPS.items() for name in names.split()
-    ]
-    assert len(EFFECTS) == len(rows)
 
 
 @pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
@@ -86,33 +58,6 @@ def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
             assert f" {form.removeprefix('abs ')} (" in words, f"{name} is not printed in {form}"
 
 
-def test_the_sentence_of_the_page() -> None:
-    gap = {"gap_rad": Estimate(math.radians(0.42), math.radians(0.39), math.radians(0.45), "rad")}
-    assert finding(EFFECTS["backlash"], gap) == (
-        "the shaft turns 0.42 deg (0.39 to 0.45) before the valve follows each reversal of "
-        "torque: backlash "
-        "(transmission), against assumption A5: no mechanical clearance, theta = i theta_r"
-    )
-
-
-def test_a_sign_becomes_words_and_the_size_keeps_its_interval() -> None:
-    words = sentence(
-        EFFECTS["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")}
-    )
-    assert words.startswith("friction is 0.40 N m (0.28 to 0.52) lower in the positive direction")
-    assert "higher in the negative" in words
-
-
-def test_a_linear_bench_keeps_its_own_units() -> None:
-    gap = {"gap_rad": Estimate(0.00042, 0.0004, 0.00044, "m")}
-    assert "0.00042 m (0.00040 to 0.00044)" in sentence(EFFECTS["backlash"], gap)
-
-
-def test_a_recording_is_named_where_the_effect_belongs_to_one() -> None:
-    weight = {"mass_kg": Estimate(24.1, 23.8, 24.4, "kg")}
-    assert "in loaded_2 is 24.1 kg" in sentence(EFFECTS["wrong_weight"], weight, ("loaded_2",))
-
-
 def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:
     with pytest.raises(KeyError, match="gap_rad"):
         sentence(EFFECTS["backlash"], {})
@@ -133,10 +78,6 @@ def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found
     assert abs(printed - value) <= slack
     assert abs(low - (value - width / 2)) <= slack
     assert abs(high - (value + width / 2)) <= slack
-
-
-def test_without_an_interval_the_value_stands_alone() -> None:
-    assert readable(Estimate(0.0031, math.nan, math.nan, "s"), "ms") == "3.1 ms"
 
 
 SIMULATED = ("drivers/mock/", "rig/results/prove/", "rig/config/faults.py", "rig/fault_injection/")

@@ -250,9 +250,6 @@ def test_what_rest_added_is_there_as_it_ends_and_gone_in_motion(view: View) -> N
 
 
 def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:
-    """Power passes whole: drive times the motor's speed is the joint's torque times the joint's
-    speed.
-    """
     given = {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.4, "with_torque": 1.0}
     model = CorrectedModel(NOMINAL, 2.0, {"gear_mesh_ripple": given})
     steepness = 1e-3 * 23.0 * np.cos(23.0 * view.angle + 0.4)
@@ -262,25 +259,6 @@ def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:
 def test_the_nominal_torque_is_that_of_the_paper(view: View) -> None:
     expected = 0.2 * view.acceleration + system(view) + load(view)
     assert CorrectedModel(NOMINAL).torque(view) == pytest.approx(expected, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("load_exponent", {"exponent": 1.0}),
-        ("transmission_efficiency", {"efficiency": 1.0}),
-        ("stribeck_shape", {"alpha": 2.0}),
-        ("wrong_weight", {"mass_kg": 20.0, "recording": 1.0}),
-        ("wrong_weight", {"mass_kg": 25.0, "recording": 2.0}),
-        ("time_skew", {"time_s": 0.0}),
-        ("current_loop_lag", {"time_s": 0.0}),
-    ],
-)
-def test_a_size_of_nothing_adds_nothing(name: str, values: dict[str, float], view: View) -> None:
-    plain, model = CorrectedModel(NOMINAL), CorrectedModel(NOMINAL, 2.0, {name: values})
-    for quantity in ("torque", "drive", "twist", "voltage"):
-        off = getattr(model, quantity)(view) - getattr(plain, quantity)(view)
-        assert np.max(np.abs(off)) < 1e-12, quantity
 
 
 def test_effects_of_which_others_depend_are_in_the_nominal_values() -> None:

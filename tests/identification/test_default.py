@@ -1,4 +1,4 @@
-"""The default method from end to end: recovery, refusals, bookkeeping."""
+"""The default method from end to end: recovery, refusals, lost samples, pieces."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from identification.estimate import searches
+from identification.estimate import default
 from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.paper_method import identify_paper
-from identification.estimate.parameter_table import typical_error
 from identification.estimate.refinement import refine_recordings, refusal
-from identification.estimate.searches import innovation_statistics, refine_stages
-from identification.filter.likelihood import Point
+from identification.estimate.searches import refine_stages
 from identification.filter.segments import motion
-from identification.numerics.compiled import both
-from identification.prepare import prepare
-from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.prepare import evened, prepare, resting
+from identification.recording import Array, Bench, Dataset, Model, Recording, RecordingError
 from identification.result import AcceptanceLimits, Identification
+from identification.signals import quantum
 
 from .practical import beginning, logged, simulated, with_ripple
-from .synthetic import TRUTH, sine
+from .synthetic import SYSTEM, TRUTH, sine
 
-SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
 TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
 
 
@@ -51,47 +48,15 @@ def test_practical_bench_within_tenths_of_a_percent(practical_result: Identifica
         p = result.parameters[name]
         limit = {"omega_sL": 0.03, "J": 0.008}.get(name, 0.004)
         assert p.value == pytest.approx(value, rel=limit), name
-        assert p.low is not None
-        assert p.high is not None
         half = 0.5 * (p.high - p.low)
         assert half < 0.05 * value, name
         assert abs(p.value - value) < 3.0 * half, name
-
-
-def test_the_result_has_searches_tradeoffs_and_signals(practical_result: Identification) -> None:
-    result = practical_result
-    unloaded, loaded = result.starts
-    assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
-    assert unloaded.ends[-1] <= unloaded.reached
-    assert len(loaded.ends) == 3 + 4 + 2  # of the grid, then far and near neighbours of the best
-    assert 1 <= loaded.best <= 9
-    assert ("Mc", "sigma_2") in {t.names for t in result.tradeoffs}
-    assert "omega_sL alone" in result.least_pinned
-    assert [t.recording for t in result.traces] == ["unloaded", "loaded"]
-    assert result.evaluations == sum(s.evaluations for s in result.stages)
-    errors = [(t.torque - t.torque_model)[t.used] for t in result.traces]
-    assert result.fit.train_rms == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    assert result.fit.validate_rms is None
-
-
-def test_one_thread_finds_what_two_find(
-    practical_pair: tuple[Recording, Recording], practical_result: Identification
-) -> None:
-    # Inside a call the second thread is taken.
-    alone, _ = both(lambda: identify(Dataset(practical_pair)), lambda: None)
-    assert alone.values() == practical_result.values()
-    assert alone.evaluations == practical_result.evaluations
-    for name, parameter in alone.parameters.items():
-        assert parameter == practical_result.parameters[name]
 
 
 @pytest.mark.proof
 def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breakaways(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
-    """As over a serial line at 500 cycles/s, where the equation error at 20 Hz ends with mu_s at
-    mu_c.
-    """
     prepared = [prepare(r, 40.0) for r in practical_pair]
     values, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
     flat = {**values, "mu_s": values["mu_c"], "omega_sL": 1.0}
@@ -99,63 +64,6 @@ def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breaka
     assert not isinstance(refined, str)
     assert refined.values["mu_s"] == pytest.approx(TRUTH["mu_s"], rel=0.004)
     assert refined.values["omega_sL"] == pytest.approx(TRUTH["omega_sL"], rel=0.03)
-
-
-@pytest.mark.proof
-def test_strong_hidden_ripple_does_not_break_the_search(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solved_from, begun = searches._solved_from, []
-
-    def tried(start: Point, *given: object) -> object:
-        begun.append((start.filter.evaluations, start.vector[searches.INERTIA]))
-        return solved_from(start, *given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(searches, "_solved_from", tried)
-    recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
-    result = identify(Dataset((recording,)))
-    assert "physics that the model lacks" in result.warnings[0]
-    # The search tries other inertias than the equation error's, and ends although none solves the
-    # equations.
-    passes, inertias = zip(*begun, strict=True)
-    assert len(set(inertias)) > 3
-    assert max(passes) < searches.MOST_PASSES
-    plain = equation_error(result, recording)
-    assert result.values() == {name: plain[name] for name in result.values()}
-
-
-def test_a_fit_whose_passes_are_used_up_starts_no_further_search(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = []
-
-    def unsolved(start: Point, *_given: object) -> searches.Solved:
-        begun.append(start)
-        return searches.Solved(2.0 * searches.SOLVED, start)
-
-    monkeypatch.setattr(searches, "_solved_from", unsolved)
-    monkeypatch.setattr(searches, "MOST_PASSES", 1)
-    identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
-    assert len(begun) == 1
-
-
-def test_a_slip_that_is_lost_is_no_missing_physics(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all
-    samples they do.
-    """
-    moving = motion(beginning(practical_pair[0], FEW_S))
-    assert moving is not None
-    joint = refine_stages([moving], [], TRUTH_SYSTEM, Model()).joint
-    residual = joint.weighted().residuals(joint.origin())
-    k = np.arange(len(residual))
-    slip = np.where((k >= 3000) & (k < 3020), 62.0, 0.0)
-    rms, whiteness = innovation_statistics(residual + slip, joint.breakaways)
-    assert abs(whiteness) < 0.1
-    assert rms == pytest.approx(1.0, abs=0.1)
-    wave = 2.0 * np.sin(k / 30.0)
-    assert innovation_statistics(residual + wave, joint.breakaways)[1] > 0.4
 
 
 @pytest.mark.parametrize(
@@ -169,13 +77,6 @@ def test_fixed_values_are_held_through_the_refinement(
     assert result.stages[-1].method == "prediction error"
     for name, found in result.values().items():
         assert found == pytest.approx(TRUTH[name], rel=1e-12 if name in names else 0.008), name
-
-
-def test_everything_fixed_is_only_scored(practical_pair: tuple[Recording, Recording]) -> None:
-    result = identify(Dataset(practical_pair[:1], Model(fixed=TRUTH_SYSTEM)))
-    assert result.values() == pytest.approx(TRUTH_SYSTEM)
-    assert len(result.warnings) == 1
-    assert result.fit.train_relative < 0.01
 
 
 def test_hidden_ripple_leaves_the_values_of_the_equation_error(
@@ -212,19 +113,6 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
         ({"values": {**right.values, "J": math.nan}}, 1.0, "not finite"),
     ):
         assert key in refusal(replace(right, **change), 1.0, after)  # type: ignore[arg-type]
-
-
-def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    prepared = [prepare(r, 40.0) for r in practical_pair]
-    wrong = {**TRUTH, "mu_c": 1.1 * TRUTH["mu_c"]}
-    grown, alone = (
-        typical_error(some, wrong, 2.0) / typical_error(some, TRUTH, 2.0)
-        for some in (prepared, prepared[1:])
-    )
-    assert grown == pytest.approx(math.sqrt(alone))
-    assert alone > 1.3
 
 
 def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
@@ -275,12 +163,6 @@ def test_without_inertia_to_start_from_nothing_is_refined(
     assert result.parameters["J"].at_bound
 
 
-def test_loaded_alone_with_the_system_fixed() -> None:
-    result = identify(Dataset((sine(weight=30.6),), Model(fixed=TRUTH_SYSTEM)), bandwidth_Hz=500.0)
-    for name in ("mu_c", "mu_s", "omega_sL", "mu_2"):
-        assert result.values()[name] == pytest.approx(TRUTH[name], rel=1e-6)
-
-
 def changed(**channels: np.ndarray | None) -> Recording:
     merged = {**sine().channels, **channels}
     return replace(sine(), channels={k: v for k, v in merged.items() if v is not None})
@@ -310,3 +192,135 @@ def test_what_cannot_be_fitted_is_refused_with_what_is_missing(
 ) -> None:
     with pytest.raises(RecordingError, match=key):
         method(Dataset((recording,)), rng=np.random.default_rng(0))
+
+
+@pytest.fixture
+def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(default, "PIECE_SAMPLES", 7000)
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Recording]) -> None:
+    for recording in practical_pair:
+        parts = default.pieces(recording)
+        assert len(parts) > 1
+        for name, values in recording.channels.items():
+            assert np.array_equal(np.concatenate([p.channels[name] for p in parts]), values)
+            assert all(np.shares_memory(p.channels[name], values) for p in parts)
+        still = resting(recording.channels["motor_angle"])
+        cuts = np.cumsum([len(p.time) for p in parts])[:-1]
+        assert np.all(still[cuts])
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_give_what_the_whole_gives(
+    practical_pair: tuple[Recording, Recording], practical_result: Identification
+) -> None:
+    whole, parts = practical_result, default.identify_long(Dataset(practical_pair))
+    assert parts.warnings == ()
+    assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
+    for name, p in whole.parameters.items():
+        q = parts.parameters[name]
+        assert p.value is not None
+        assert p.low is not None
+        assert p.high is not None
+        if name == "J":  # found on the first pieces alone
+            assert abs(q.value - p.value) < 0.5 * (q.high - q.low)
+            continue
+        # Two estimates of one value: least squares beside the inertia on the whole, instruments on
+        # the pieces.
+        assert abs(q.value - p.value) < 0.5 * (p.high - p.low), name
+        assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
+    assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
+    parts = default.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
+    assert "a quantised encoder" in parts.warnings[0]
+    assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
+
+
+def test_the_path_follows_the_length(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[str] = []
+    monkeypatch.setattr(default, "identify", lambda *_a, **_k: taken.append("memory"))
+    monkeypatch.setattr(default, "identify_long", lambda *_a, **_k: taken.append("pieces"))
+    dataset = Dataset(practical_pair[:1])
+    default.identify_any_length(dataset)
+    monkeypatch.setattr(default, "LONG_SAMPLES", 1000)
+    default.identify_any_length(dataset)
+    aside = Dataset((replace(practical_pair[0], role="validate"),))
+    default.identify_any_length(aside)
+    assert taken == ["memory", "pieces", "memory"]
+
+
+STEP = 1e-4
+
+
+def recording(time: Array) -> Recording:
+    angle = np.floor(0.3 * np.sin(3.0 * time) / STEP) * STEP
+    return Recording("r", {"time": time, "angle": angle, "torque": np.cos(3.0 * time)}, Bench())
+
+
+def lost(whole: Recording, share: float, seed: int, hole: slice | None = None) -> Recording:
+    keep = np.random.default_rng(seed).uniform(size=len(whole.time)) > share
+    keep[0] = True
+    if hole is not None:
+        keep[hole] = False
+    return replace(whole, channels={name: values[keep] for name, values in whole.channels.items()})
+
+
+def test_even_recordings_are_left_alone() -> None:
+    whole = recording(1e-3 * np.arange(5000))
+    found = evened(whole)
+    assert found[0] is whole
+    assert not found[1].any()
+
+
+@pytest.mark.parametrize("ppm", [0.0, 37.0, -80.0])
+def test_lost_samples_are_filled_and_the_others_kept(ppm: float) -> None:
+    true = 1e-3 * (1.0 + 1e-6 * ppm) * np.arange(30_000)
+    whole = recording(np.round(true, 6))
+    found = evened(lost(whole, 0.02, 1))
+    assert found is not None
+    even, holes = found
+    assert not holes.any()
+    assert even.time == pytest.approx(true, abs=2e-6)
+    here = np.isin(np.arange(30_000), np.searchsorted(whole.time, lost(whole, 0.02, 1).time))
+    assert np.array_equal(even.channels["torque"][here], whole.channels["torque"][here])
+    assert np.max(np.abs(even.channels["angle"] - whole.channels["angle"])) < 1.5 * STEP
+    assert quantum(even.channels["angle"]) == pytest.approx(STEP)
+
+
+def test_long_holes_are_marked_and_their_stretch_is_left_out(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    whole = practical_pair[0]
+    holed = lost(whole, 0.0, 0, slice(7000, 7060))
+    found = evened(holed)
+    assert np.array_equal(np.flatnonzero(found[1]), np.arange(7000, 7060))
+    before, after = motion(whole), motion(holed)
+    assert len(after.table) == len(before.table) - 1
+
+
+def test_what_is_uneven_throughout_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    assert evened(recording(np.cumsum(1e-3 * rng.uniform(0.5, 1.5, 3000)))) is None
+    assert evened(lost(recording(1e-3 * np.arange(5000)), 0.3, 2)) is None
+
+
+@pytest.mark.proof
+def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    pair = [lost(r, 0.01, k) for k, r in enumerate(practical_pair)]
+    prepared = [prepare(r, 40.0) for r in pair]
+    before, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
+    assert abs(before["mu_s"] / TRUTH["mu_s"] - 1.0) > 0.5
+    result = identify(Dataset(tuple(pair)))
+    assert result.warnings == ()
+    for name, value in TRUTH.items():
+        limit = {"omega_sL": 0.03, "J": 0.01}.get(name, 0.004)
+        assert result.values()[name] == pytest.approx(value, rel=limit), name

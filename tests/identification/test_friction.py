@@ -1,10 +1,16 @@
-"""The compiled friction law against the broadcasting one, and what its expectation adds."""
+"""The friction law and eq. 14: right where motion is uniform, known to be wrong elsewhere."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from identification.estimate.equation_error import (
+    UniformPoint,
+    errors_percent,
+    fit_uniform,
+    uniform_points,
+)
 from identification.model.friction import (
     expected_friction,
     friction,
@@ -14,15 +20,11 @@ from identification.model.friction import (
 )
 from identification.model.parameters import (
     ALPHA,
-    INDEX,
-    SIZE,
-    STRIBECK_TERMS,
-    UNITS_LINEAR,
-    UNITS_ROTARY,
+    NOMINAL,
     pack,
-    unpack,
 )
 from identification.numerics.compiled import compiled
+from identification.recording import Bench, Recording
 
 from .synthetic import TRUTH
 
@@ -70,21 +72,6 @@ def test_slope_is_the_derivative(alpha: float) -> None:
         assert sure(w, 40.0, 3.0, p)[1] == pytest.approx(slope, rel=1e-5, abs=1e-4)
 
 
-@pytest.mark.parametrize("alpha", [0.7, 1.0, 2.0])
-def test_at_rest_it_is_the_static_limit(alpha: float) -> None:
-    value, slope = sure(0.0, 40.0, 0.0, pack(TRUTH, alpha))
-    assert value == pytest.approx(TRUTH["Ms"] + 40.0 * TRUTH["mu_s"], rel=1e-12)
-    assert np.isfinite(slope)
-
-
-@pytest.mark.parametrize("alpha", [0.7, 2.0])
-@pytest.mark.parametrize("moment", [0.0, 40.0])
-def test_expectation_over_a_certain_speed_is_the_law(alpha: float, moment: float) -> None:
-    p = pack(TRUTH, alpha)
-    for w in np.geomspace(1e-6, 2.0, 40):
-        assert expected(w, 0.0, moment, p) == pytest.approx(sure(w, moment, 0.0, p), rel=1e-12)
-
-
 def test_an_absent_rise_needs_no_stribeck_speed() -> None:
     p = pack({"Mc": 2.0, "Ms": 2.0, "omega_sf": 0.0}, 2.0)
     assert sure(0.0, 0.0, 0.0, p) == (2.0, 0.0)
@@ -103,12 +90,52 @@ def test_expectation_over_an_uncertain_speed_is_that_of_a_quadrature() -> None:
     )
 
 
-def test_every_parameter_has_a_place_of_its_own_and_a_unit() -> None:
-    assert len(set(INDEX.values())) == len(INDEX)
-    assert max(INDEX.values()) < SIZE
-    assert (
-        {name for term in STRIBECK_TERMS for name in term} | set(INDEX)
-        == set(UNITS_ROTARY)
-        == set(UNITS_LINEAR)
+PERIOD = 1e-3
+BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
+
+
+def there_and_back(speed: float, jerky: bool = False) -> Recording:
+    """A ramp of two seconds each way with the torque of eq."""
+    leg = speed * PERIOD * np.arange(2000)
+    command = np.concatenate(
+        [np.zeros(300), leg, np.full(300, leg[-1]), leg[-1] - leg, np.zeros(300)]
     )
-    assert unpack(pack(TRUTH, 2.0), tuple(TRUTH)) == pytest.approx(TRUTH)
+    angle = command.copy()
+    if jerky:
+        angle = np.floor(command / (0.2 * speed)) * 0.2 * speed
+    velocity = np.gradient(command, PERIOD)
+    current = system_friction(velocity, NOMINAL, 2.0) / 3.0
+    time = PERIOD * np.arange(len(command))
+    return Recording(
+        f"{speed:g}", {"time": time, "command": command, "angle": angle, "current": current}, BENCH
+    )
+
+
+def test_each_constant_speed_is_a_point() -> None:
+    points = uniform_points(there_and_back(0.05))
+    assert [round(p.speed, 9) for p in points] == [0.05, -0.05]
+    friction = float(system_friction(np.array([0.05]), NOMINAL, 2.0)[0])
+    assert [p.friction for p in points] == pytest.approx([friction, friction])
+    assert all(p.uniform for p in points)
+    assert not any(p.uniform for p in uniform_points(there_and_back(0.05, jerky=True)))
+
+
+def exact(speed: float, moment: float) -> UniformPoint:
+    v = np.array([speed])
+    friction = system_friction(v, NOMINAL, 2.0) + moment * load_coefficient(v, NOMINAL, 2.0)
+    return UniformPoint("r", speed, float(friction[0]), 0.0, moment)
+
+
+def test_exact_points_give_the_exact_curve() -> None:
+    speeds = np.geomspace(0.01, 0.4, 9)
+    found = fit_uniform([exact(float(v), moment) for v in speeds for moment in (0.0, 285.0)])
+    truth = {name: NOMINAL[name] for name in found}
+    assert set(found) == {"Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"}
+    assert errors_percent(found, truth) == pytest.approx(dict.fromkeys(found, 0.0), abs=1e-3)
+
+
+def test_too_few_speeds_give_no_parameters() -> None:
+    assert fit_uniform([exact(v, 0.0) for v in (0.1, 0.2, 0.3)]) == {}
+    assert fit_uniform([exact(v, 0.0) for v in (0.1, 0.2, 0.3, 0.1, 0.2, 0.3)]) == {}
+    points = [exact(v, 0.0) for v in (0.02, 0.05, 0.1, 0.2)] + [exact(0.1, 285.0)]
+    assert set(fit_uniform(points)) == {"Mc", "Ms", "omega_sf", "sigma_2"}

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import cumulative_simpson, solve_ivp
+from scipy.integrate import solve_ivp
 
 from identification.model.gas_generator import (
     GasGenerator,
@@ -49,26 +49,6 @@ def test_at_equilibrium_the_balance_of_eq_7_closes(seed: int) -> None:
     assert g.rho_b * g.A_b * r == pytest.approx(p * throat / g.C_r, rel=1e-12)
 
 
-def test_the_contact_force_of_the_closed_valve_is_that_of_case_2() -> None:
-    force = (float(equilibrium_pressure(throat_area(np.array(0.0)), PAPER)) - PAPER.p_c0) * 7.658e-4
-    assert force == pytest.approx(3000.0, rel=0.02)
-    assert PAPER.Gamma == pytest.approx(0.658, abs=1e-4)
-
-
-def test_eq_8_at_a_fixed_throat_has_a_closed_form() -> None:
-    """With x = p^(1-n) and d tau = dt/V eq. 8 is linear: dx/dtau = (1-n) R_g T_g (rho_b A_b a' - x
-    A_t/C_r).
-    """
-    angle = np.full_like(TIME, 0.2)
-    burn = pressure_history(TIME, angle, PAPER, start_pressure=4e6, exact=False)
-    tau = cumulative_simpson(1.0 / (PAPER.V_0 + PAPER.A_b * burn.web), x=TIME, initial=0.0)
-    throat = float(throat_area(np.array(0.2)))
-    end = PAPER.rho_b * PAPER.A_b * PAPER.a * 1e6**-PAPER.n * PAPER.C_r / throat
-    decay = np.exp(-(1.0 - PAPER.n) * PAPER.RT * throat / PAPER.C_r * tau)
-    x = end + (4e6 ** (1.0 - PAPER.n) - end) * decay
-    assert burn.pressure == pytest.approx(x ** (1.0 / (1.0 - PAPER.n)), rel=1e-6)
-
-
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> None:
     g = PAPER
@@ -98,13 +78,6 @@ def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> Non
     assert g.V_0 + g.A_b * burn.web[: found.y.shape[1]] == pytest.approx(found.y[1], rel=1e-7)
 
 
-def test_a_small_chamber_is_taken_in_smaller_steps() -> None:
-    burn = pressure_history(TIME, SWEEP, GasGenerator(V_0=1e-6), start_pressure=3e6)
-    settled = equilibrium_pressure(throat_area(SWEEP), PAPER)
-    assert np.all(np.isfinite(burn.pressure))
-    assert burn.pressure[1:10] == pytest.approx(settled[1:10], rel=0.02)
-
-
 def test_a_layer_makes_both_diameters_smaller() -> None:
     h = 3e-4
     bare, first, second = throat_derivatives(SWEEP, ValveGeometry())
@@ -123,8 +96,3 @@ def test_a_layer_makes_both_diameters_smaller() -> None:
 def test_a_generator_that_cannot_be(wrong: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         GasGenerator(**wrong)
-
-
-def test_a_burn_starts_above_zero_pressure() -> None:
-    with pytest.raises(ValueError, match="start pressure -5 Pa"):
-        pressure_history(TIME, SWEEP, PAPER, start_pressure=-5.0)

@@ -1,4 +1,4 @@
-"""The prediction-error filter against an independent Kalman filter, and its cost's derivatives."""
+"""The prediction-error filter against an independent Kalman filter, and where a recording moves."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import pytest
 from scipy import linalg
 
 from identification.filter import kalman as kernel
-from identification.filter.kalman import LANES, slip_variance
-from identification.filter.likelihood import Point, deviance, likeliest_noise
+from identification.filter.likelihood import Point, likeliest_noise
 from identification.filter.segments import Motion, Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.recording import Model, Recording
 from tests.identification.synthetic import TRUTH
+
+from .practical import simulated
 
 INERTIA, VISCOUS, COULOMB = 0.2, 5.0, 2.0
 STEP_S = 1e-3
@@ -134,43 +135,9 @@ def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: f
     assert squares[0.0] > 1.6  # as if a dozen readings of one count were a dozen measurements
 
 
-def test_noise_that_is_another_at_every_reading_is_averaged_at_rest() -> None:
-    rng = np.random.default_rng(5)
-    rest = 30
-    angle = ANGLE_NOISE * rng.normal(size=rest)
-    found = run_kernel(angle, np.zeros(rest), 1.0, 1.0, begin=STEP_S * rest)
-    before = np.cumsum(angle)[:-1] / np.arange(1, rest)
-    spread = ANGLE_NOISE * np.sqrt(1.0 + 1.0 / np.arange(1, rest))
-    assert found == pytest.approx((angle[1:] - before) / spread)
-
-
-def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero() -> None:
-    rng = np.random.default_rng(3)
-    speed, step, last = np.zeros(20000), 0.005, 3.0
-    for now in np.arange(-last, last, step):
-        speed = np.maximum(
-            speed + (now + 0.5 * step) * step + np.sqrt(step) * rng.normal(size=len(speed)), 0.0
-        )
-    excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
-    # Coarse steps miss part of what the walk meets at zero.
-    assert slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
-    assert slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
-
-
-def test_inside_steps_converge() -> None:
-    """The first sample aside, whose covariance starts from a known state and is of first order."""
-    time = STEP_S * np.arange(400)
-    torque = 6.0 + np.sin(12.0 * time)
-    angle = 0.1 * time
-    coarse, medium, fine = (run_kernel(angle, torque, 1.0, steps)[1:] for steps in (1.0, 2.0, 4.0))
-    first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))
-    assert 0.0 < second < first / 1.5
-
-
 @pytest.fixture(scope="module")
 def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion]:
     unloaded, loaded = (motion(r) for r in practical_pair)
-    assert unloaded is not None
     assert loaded is not None
     return unloaded, loaded
 
@@ -194,34 +161,6 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(
     assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
 
 
-def test_the_last_run_is_not_repeated(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(*motions)
-    held, x = point.weighted(), point.origin()
-    near = held.near_breakaways(x, held.residuals(x))
-    errors, deviations = point.run()
-    before = point.filter.evaluations
-    near.residuals(x)  # filters the first samples only
-    assert point.run()[0] is errors
-    assert point.filter.evaluations == before
-    other = point.run(point.noise.louder(2.0))
-    assert point.filter.evaluations == before + 1
-    assert not np.allclose(other[1], deviations)
-    with pytest.raises(ValueError, match="read-only"):
-        errors[0] = 0.0
-
-
-def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    """Three copies of the recordings have more segments than one thread has lanes."""
-    alone, many = at_truth(*motions), at_truth(*3 * motions)
-    assert alone.breakaways <= LANES
-    one, other = many.experiment.lineup.halves
-    assert many.breakaways > LANES
-    assert sorted([*one.order, *other.order]) == list(range(many.breakaways))
-    noise = Noise(0.06, 1e-6)
-    for found, expected in zip(many.run(noise), alone.run(noise), strict=True):
-        assert np.array_equal(found, np.tile(expected, 3))
-
-
 @pytest.mark.parametrize("noise", [Noise(0.06, 1e-6), Noise(0.05, 2e-6, 0.04, 0.01)], ids=str)
 def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], noise: Noise) -> None:
     free = tuple(INDEX.values())
@@ -236,30 +175,6 @@ def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], no
             for p in (together, *alone)
         ]
         assert np.array_equal(slopes[0], np.concatenate(slopes[1:]))
-
-
-def test_an_error_in_the_second_thread_is_raised(
-    motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    many = at_truth(*3 * motions)
-    second = many.experiment.lineup.halves[1]
-
-    def broken(table: np.ndarray, *_: object) -> None:
-        if table is second.table:
-            raise FloatingPointError("half of the segments were not filtered")
-
-    monkeypatch.setattr("identification.filter.experiment.innovations", broken)
-    with pytest.raises(FloatingPointError, match="were not filtered"):
-        many.run()
-
-
-def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(motions[1])
-    right = deviance(*point.run())
-    for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
-        wrong = point.vector.copy()
-        wrong[INDEX[name]] *= 1.1
-        assert deviance(*replace(point, vector=wrong).run()) > right, name
 
 
 @pytest.mark.parametrize(
@@ -297,33 +212,12 @@ def test_sensitivities_are_the_slopes_of_the_predictions(
             assert np.linalg.norm(found - column) <= 1e-4 * np.linalg.norm(column) + 1e-12, k
 
 
-def test_a_wide_step_is_a_difference_of_residuals(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(first_segments(motions[0], 2), free=(INDEX["Mc"],))
-    held, x = point.weighted(0.01), point.origin()
-    here = held.residuals(x)
-    away = x.copy()
-    away[0] *= 1.01
-    column = (held.residuals(away) - here) / (0.01 * x[0])
-    assert held.jacobian(x, here).dense()[:, 0] == pytest.approx(column)
-
-
 def first_segments(m: Motion, count: int) -> Motion:
     """Return a recording with its first segments only."""
     table, inside = m.table[:count].copy(), np.zeros(len(m.time), dtype=bool)
     for first, last in table[:, :2].astype(int):
         inside[first:last] = True
     return replace(m, table=table, seen=m.seen[:count], inside=inside)
-
-
-def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at_truth(motions[0], free=tuple(INDEX[n] for n in names))
-    held = point.weighted()
-    for shift in (-1e3, 1e3):
-        x = point.origin()
-        x[[2, 4]] += shift
-        assert np.all(point.parameters(x) >= 0.0)
-        assert np.all(np.isfinite(held.residuals(x)))
 
 
 @pytest.mark.parametrize("shift_ms", [-3.0, 0.5, 3.5])
@@ -340,3 +234,91 @@ def test_only_the_first_samples_feel_a_breakaway_time(
     whole[near.rows] = near.residuals(there)
     np.testing.assert_allclose(whole, held.residuals(there), atol=1e-4)
     assert np.max(np.abs(near.residuals(there) - near.here)) > 0.1
+
+
+@pytest.fixture
+def free(practical_pair: tuple[Recording, Recording]) -> Motion:
+    return motion_of(practical_pair[0])
+
+
+def motion_of(recording: Recording) -> Motion:
+    found = motion(recording)
+    assert found is not None
+    return found
+
+
+def drop(recording: Recording, *names: str) -> Recording:
+    return replace(
+        recording, channels={k: v for k, v in recording.channels.items() if k not in names}
+    )
+
+
+def swap(recording: Recording, **channels: np.ndarray) -> Recording:
+    return replace(recording, channels={**recording.channels, **channels})
+
+
+def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, Recording]) -> None:
+    truth = simulated(10, 30.6)
+    found = motion_of(practical_pair[1])
+    assert len(found.table) >= 8
+    for (first, last, side, rise), seen in zip(found.table, found.seen, strict=True):
+        window = truth["velocity"][int(seen) : int(last)]
+        assert np.all(side * window > 0.0)
+        assert truth["velocity"][int(first) - 1] == 0.0
+        assert rise > 0.0
+        assert first <= seen < last
+
+
+@pytest.mark.parametrize(("case", "weight"), [(0, 0.0), (1, 30.6)])
+def test_static_crossing_is_when_the_shaft_broke_away(
+    practical_pair: tuple[Recording, Recording], case: int, weight: float
+) -> None:
+    truth = simulated(10 * case, weight)
+    found = motion_of(practical_pair[case])
+    static = 12.025 + 0.095 * 10.0 * weight * 9.80665 * 0.086
+    crossings = found.static_crossing(static)
+    for (first, _, _, _), when in zip(found.table, crossings, strict=True):
+        moving = int(first) + int(np.flatnonzero(truth["velocity"][int(first) :])[0])
+        assert when == pytest.approx(truth["time"][moving], abs=2e-3)
+
+
+def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    recording = practical_pair[1]
+    smooth = motion_of(recording)
+    first, last, side, _ = smooth.table[3]
+    k = int(0.5 * (first + last))
+    assert not np.any(smooth.unsure[k - 50 : k + 50])
+    channel = "motor_angle"
+    angle = recording.channels[channel].copy()
+    # Held for 6 samples, then on as before: too short a pause to count as rest.
+    pause = side * (angle[k + 6] - angle[k])
+    assert pause > 0.0
+    angle[k + 6 :] -= side * pause
+    angle[k : k + 6] = angle[k]
+    found = motion_of(swap(recording, **{channel: angle}))
+    marked = np.flatnonzero(found.unsure[k - 50 : k + 70]) + k - 50
+    assert marked[0] >= k - 1
+    assert marked[-1] <= k + 7
+    assert len(marked) >= 5
+    fastest = float(np.max(np.abs(simulated(10, 30.6)["velocity"])))
+    assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
+
+
+def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    recording = practical_pair[0]
+    exact = simulated(0, 0.0)["angle"] * 100.0
+    jitter = recording.time + np.random.default_rng(0).uniform(0.0, 2e-4, len(recording.time))
+    assert motion(recording) is not None
+    assert motion(drop(recording, "motor_angle")) is None
+    assert motion(drop(recording, "current")) is None
+    assert motion(swap(recording, motor_angle=exact)) is None
+    assert motion(swap(recording, time=jitter)) is None
+
+
+def test_strokes_alike_are_those_of_one_motion_either_way(free: Motion) -> None:
+    ends = np.isin(np.arange(len(free.table)), [0, len(free.table) - 1])
+    assert np.array_equal(free.matching, ends[:, None] == ends)

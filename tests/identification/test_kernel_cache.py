@@ -1,6 +1,4 @@
-"""Compiled kernels are stored on disk, are renewed with everything that is compiled in, and a store
-that fails never costs a result.
-"""
+"""Compiled kernels: their store on disk, the second thread, the exponential."""
 
 from __future__ import annotations
 
@@ -10,15 +8,17 @@ import logging
 import os
 import pkgutil
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
-from numba.core.caching import IndexDataCacheFile
 
 import drivers.mock.plant.parts.compiled
 import identification.numerics.compiled
+from identification.numerics.compiled import LEAST, THREAD, both, compiled, each, exponential
 from rig.cli.entry import find_kernel_folder
 
 KERNEL = """
@@ -67,32 +67,6 @@ def test_a_kernel_is_loaded_until_a_shared_source_changes(
     monkeypatch.setattr(copy, "_shared_sources", lambda: "changed")
     assert load().shifted.stats.cache_misses
     assert load().shifted.stats.cache_hits
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_a_person_who_waits_is_told_of_the_first_compilation(
-    load: Load,
-    terminal: bool,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
-    for _ in range(2):
-        load()
-    assert len(caplog.records) == terminal
-
-
-def test_a_full_disk_costs_a_compilation(
-    load: Load, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(*arguments: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
-    for _ in range(2):
-        load()
-    (record,) = caplog.records
-    assert "No space left on device" in record.getMessage()
 
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
@@ -146,7 +120,6 @@ def test_kernels_of_the_estimator_contain_only_their_own_file_and_shared_folders
     kernels = 0
     for found in pkgutil.walk_packages(identification.__path__, "identification."):
         module = importlib.import_module(found.name)
-        assert module.__file__ is not None
         imported = {
             alias.asname or alias.name: node.module or ""
             for node in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body
@@ -160,3 +133,60 @@ def test_kernels_of_the_estimator_contain_only_their_own_file_and_shared_folders
                 own = {name for name in used if name.startswith("identification.")}
                 assert all(name.startswith(shared) for name in own), (found.name, own)
     assert kernels > 40
+
+
+def _name() -> str:
+    return threading.current_thread().name
+
+
+def test_the_second_function_runs_in_a_thread_that_stays() -> None:
+    first, second = both(_name, _name)
+    assert first == threading.main_thread().name
+    assert second.startswith(THREAD)
+    assert both(_name, _name) == (first, second)
+
+
+def test_inside_a_call_the_functions_run_one_after_the_other() -> None:
+    inside, beside = both(lambda: both(_name, _name), lambda: both(_name, _name))
+    assert len(set(inside)) == len(set(beside)) == 1
+    assert inside != beside
+
+
+@pytest.mark.parametrize("failing", [0, 1])
+def test_a_failure_is_raised_after_both_have_ended_and_the_thread_goes_on(failing: int) -> None:
+    ended = []
+
+    def work(number: int) -> None:
+        if number == failing:
+            raise ValueError(str(number))
+        ended.append(number)
+
+    with pytest.raises(ValueError, match=str(failing)):
+        both(lambda: work(0), lambda: work(1))
+    assert ended == [1 - failing]
+    assert both(_name, _name)[1].startswith(THREAD)
+
+
+def test_two_items_run_at_the_same_time_and_results_keep_the_order_of_the_items() -> None:
+    meeting = threading.Barrier(2, timeout=10.0)
+
+    def work(item: int) -> int:
+        if item < 2:
+            meeting.wait()  # passes only if another item is worked on meanwhile
+        return 10 * item
+
+    assert each(work, range(5)) == [0, 10, 20, 30, 40]
+    assert each(work, []) == []
+
+
+@compiled
+def of_all(x: np.ndarray) -> np.ndarray:
+    out = np.empty_like(x)
+    for k in range(len(x)):
+        out[k] = exponential(x[k])
+    return out
+
+
+def test_the_exponential_is_the_librarys_to_a_unit_in_the_last_place() -> None:
+    x = np.concatenate([np.linspace(LEAST, 0.0, 100_001), -np.geomspace(1e-300, 1.0, 10_001)])
+    assert np.max(np.abs(of_all(x) / np.exp(x) - 1.0)) < 1.1 * np.finfo(float).eps

@@ -57,12 +57,10 @@ def test_both_stages() -> None:
     assert [s.stage for s in result.stages] == ["unloaded", "loaded"]
     for stage in result.stages:
         assert stage.evaluations == POPULATION * GENERATIONS
-        assert stage.cost_history is not None
         assert np.all(np.diff(stage.cost_history) <= 0.0)
         assert stage.cost_history[-1] == stage.cost
         assert stage.reached is False
         assert all(len(h) == GENERATIONS for h in stage.parameter_history.values())
-    assert result.fit.validate_rms is not None
     assert result.fit.validate_rms < 0.3
     assert all(p.low is None and p.high is None for p in result.parameters.values())
     assert (told[0], told[-1]) == (("unloaded", 1.0 / GENERATIONS), ("loaded", 1.0))
@@ -75,15 +73,6 @@ def test_inertia_is_given_only_where_its_torque_stands_out_of_the_misfit() -> No
     assert fast.value == pytest.approx(TRUTH["J"], rel=0.2)
 
 
-def test_rest_is_left_out() -> None:
-    rest = {"angle": SLOW.channels["angle"][-1], "velocity": 0.0, "torque": 3.0}
-    more = {name: np.full(300, value) for name, value in rest.items()}
-    more["time"] = SLOW.time[-1] + 0.01 * np.arange(1, 301)
-    channels = {name: np.append(values, more[name]) for name, values in SLOW.channels.items()}
-    result = fit(replace(SLOW, channels=channels), generations=5)
-    assert not result.traces[0].used[-290:].any()
-
-
 def test_fixed_parameters_are_kept() -> None:
     result = fit(SLOW, model=Model(fixed={"J": 0.204, "sigma_2": 5.0}), generations=20)
     assert (result.parameters["J"].value, result.parameters["sigma_2"].value) == (0.204, 5.0)
@@ -91,22 +80,6 @@ def test_fixed_parameters_are_kept() -> None:
     result = fit(SLOW, model=Model(fixed={n: TRUTH[n] for n in SYSTEM}))
     assert result.stages == ()
     assert result.fit.train_rms < 0.02
-
-
-def test_a_declared_term_is_not_silently_dropped() -> None:
-    assert "offset" in fit(SLOW, model=Model(terms=("offset",)), generations=5).warnings[0]
-
-
-def test_without_a_torque_constant_the_fit_is_in_amperes() -> None:
-    channels = {**SLOW.channels, "current": SLOW.channels["torque"]}
-    del channels["torque"]
-    bench = replace(SLOW.bench, torque_constant=None)
-    result = fit(replace(SLOW, channels=channels, bench=bench), generations=5)
-    assert (result.fit.unit, result.stages[0].cost_unit) == ("A", "A")
-    units = {n: p.unit for n, p in result.parameters.items()}
-    assert units == {
-        "Mc": "A", "Ms": "A", "omega_sf": "rad/s", "sigma_2": "A s/rad", "J": "A s^2/rad",
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -151,16 +124,12 @@ def test_the_default_method_wins_on_the_practical_bench(
 ) -> None:
     table = {c.name: c for c in compare(Dataset(practical_pair), practical_result, truth=TRUTH)}
     default = table.pop(DEFAULT)
-    assert default.true_error is not None
     for rival in table.values():
-        assert rival.true_error is not None
         assert default.true_error < 0.5 * rival.true_error, rival.name
     projection = table.pop("variable projection")
     assert projection.failures == 0
     for rival in table.values():
         assert projection.evaluations < 0.1 * rival.evaluations
-        assert rival.excess is not None
-        assert projection.excess is not None
         assert projection.excess <= rival.excess + 1e-12
 
 
@@ -168,3 +137,7 @@ def test_declared_terms_are_refused_in_a_comparison() -> None:
     dataset = Dataset((sine(offset=0.3),), Model(terms=("offset",)))
     with pytest.raises(RecordingError, match=r"\(offset\)"):
         compare(dataset, identify(dataset))
+
+
+def test_a_declared_term_is_not_silently_dropped() -> None:
+    assert "offset" in fit(SLOW, model=Model(terms=("offset",)), generations=5).warnings[0]

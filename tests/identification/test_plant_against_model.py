@@ -16,7 +16,6 @@ from drivers.mock.plant.machine import friction_vector
 from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_generator as kernel
-from identification.model.friction import friction as compiled_friction
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.gas_generator import (
     GasGenerator,
@@ -25,7 +24,6 @@ from identification.model.gas_generator import (
     throat_derivatives,
 )
 from identification.model.gas_generator import throat_area as believed_throat
-from identification.model.parameters import pack
 
 from .synthetic import TRUTH
 
@@ -42,16 +40,6 @@ def test_friction_at_random_speeds_and_loads(seed: int, alpha: float) -> None:
             believed = system_friction(side * speeds, TRUTH, alpha)
             believed = believed + force * 0.095 * load_coefficient(side * speeds, TRUTH, alpha)
             assert believed == pytest.approx(side * plant, rel=1e-12)
-
-
-@pytest.mark.parametrize("force", [0.0, 3000.0])
-def test_the_compiled_friction_is_the_same(force: float) -> None:
-    p = pack(TRUTH, 2.0)
-    for speed in np.geomspace(1e-5, 2.0, 40):
-        value, slope = compiled_friction(speed, force * 0.095, 0.0, p)
-        assert (value, slope) == pytest.approx(
-            friction(speed, friction_vector(Joint(), force)), rel=1e-12
-        )
 
 
 TIME = np.arange(0.0, 8.0, 0.005)

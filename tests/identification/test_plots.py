@@ -3,14 +3,12 @@
 import io
 import re
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from identification.diagnosis.result import Fit as EquationError
-from identification.diagnosis.result import Map, ResidualTrace
+from identification.diagnosis.result import ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots.style import COMPRESSION, MAX_POINTS, arrange, continuing, png
@@ -109,13 +107,11 @@ def test_a_figure_has_units_few_points_and_texts_that_do_not_overlap(name: str) 
             named = any(letter.isalpha() for text in texts for letter in text)
             hidden = not any(t.get_visible() for t in ticks)
             assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
-        assert box is not None
         # Labels of an axis that is short for them stand out at its ends.
         assert min(box.x0, box.y0) >= -3.0, axis.get_ylabel()
         assert box.x1 <= made.bbox.width + 3.0, axis.get_ylabel()
         assert box.y1 <= made.bbox.height + 3.0, axis.get_ylabel()
         for other in boxes[:k]:
-            assert other is not None
             across = min(box.x1, other.x1) - max(box.x0, other.x0)
             along = min(box.y1, other.y1) - max(box.y0, other.y0)
             assert min(across, along) < 3.0
@@ -135,13 +131,6 @@ def test_a_png_is_what_matplotlib_saves_and_reproducible(name: str) -> None:
     assert png(ours) == saved.getvalue()
 
 
-def test_rest_breaks_the_fitted_line() -> None:
-    one, recording = trace(samples=1001)
-    bottom = signals.response(one, recording, "N m").axes[-1]
-    fitted = next(line for line in bottom.lines if str(line.get_label()).startswith("model"))
-    assert np.array_equal(np.isnan(np.asarray(fitted.get_ydata(), dtype=float)), one.used < 0.5)
-
-
 def test_a_gap_in_time_breaks_a_line_of_what_is_left_over() -> None:
     time = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(1.5, 2.0, 0.01)])
     one = ResidualTrace("run", "fit", "torque", "N m", time, np.ones(150), np.zeros(150))
@@ -156,43 +145,3 @@ def test_the_fitted_curve_is_the_friction_law() -> None:
     speed, torque = (np.asarray(d, dtype=float) for d in fitted.get_data())
     w = speed[speed > 0.0]
     assert torque[speed > 0.0] == pytest.approx(7.0 + 2.0 * np.exp(-((w / 0.05) ** 2)) + 5.0 * w)
-
-
-def test_a_parameter_without_a_value_is_shown_in_words() -> None:
-    axis = fit_plots.intervals([result()]).axes[0]
-    assert [t.get_text().strip() for t in axis.texts] == ["not identifiable"]
-
-
-def test_where_the_load_varies_there_is_no_curve_of_one_load() -> None:
-    axis = fit_plots.stribeck(result(), {"run": None}).axes[0]
-    labels = [str(line.get_label()) for line in axis.lines]
-    assert "measured, hot firing" in labels
-    (fitted,) = [line for line in axis.lines if line.get_label() == "fitted"]
-    assert fitted.get_linestyle() == "None"
-
-
-def test_errors_are_drawn_over_the_noise_floor_of_each_equation() -> None:
-    fits = (
-        EquationError("torque", "N m", 25.0, 0.6, 0.2, 0.2, 0.8, 0.3),
-        EquationError("voltage", "V", 25.0, 0.05, 0.05, 0.1),
-        EquationError("transmission", "rad", 25.0, 0.0, 0.0, 0.0),
-    )
-    (axis,) = mismatch.errors(fits).axes
-    drawn = {line.get_label(): line.get_xdata() for line in axis.lines}
-    assert drawn["before"] == pytest.approx([3.0, 4.0, 0.5])
-    assert drawn["after"] == pytest.approx([1.0, 1.5, 0.5])
-    names = [label.get_text() for label in axis.get_yticklabels()]
-    assert names == ["torque, fitted", "torque, set aside", "voltage, fitted"]
-    low, high = axis.get_xlim()
-    assert low < 0.5
-    assert high > 4.0
-
-
-def test_a_map_that_explains_all_says_100_percent_and_one_that_explains_nothing_is_left_out() -> (
-    None
-):
-    line = np.linspace(-1.0, 1.0, 5)
-    full = Map("torque", "speed", "rad/s", "N m", line, line, line - 0.1, line + 0.1, line, 0.9996)
-    made = mismatch.maps([full, replace(full, coordinate="time", share=0.001)])
-    titles = [axis.get_title(loc="left") for axis in made.axes if axis.get_visible()]
-    assert titles == ["speed: explains 100 %"]

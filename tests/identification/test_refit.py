@@ -41,17 +41,6 @@ def test_the_parameters_that_an_effect_had_bent_come_back(dataset: Dataset) -> N
     assert found["J"] == pytest.approx(0.2, rel=0.02)
 
 
-def test_only_the_torque_is_changed(dataset: Dataset) -> None:
-    (slow, _) = without_effects(dataset.recordings, CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS), 20.0)
-    assert set(slow.channels) == {"time", "angle", "torque"}
-    assert np.array_equal(slow.channels["angle"], dataset.recordings[0].channels["angle"])
-    speed = np.gradient(slow.channels["angle"], slow.time)
-    taken = 3.0 * dataset.recordings[0].channels["current"] - slow.channels["torque"]
-    assert taken[200:-200] == pytest.approx(
-        (DRAG * speed * np.abs(speed) + SIDE)[200:-200], abs=0.01
-    )
-
-
 def test_a_voltage_alone_is_refused(dataset: Dataset) -> None:
     bench = Bench(torque_constant=0.03, gear_ratio=100.0, resistance=1.5, back_emf_constant=0.03)
     channels = {name: v for name, v in dataset.recordings[0].channels.items() if name != "current"}

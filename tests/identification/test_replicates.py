@@ -1,11 +1,8 @@
-"""By how much the likelihood is off, foretold by replicates and held against the simulated
-machine.
-"""
+"""By how much the likelihood is off and how sure an estimate is, by replicates of the recording."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -16,31 +13,27 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
-from identification.estimate import refinement, replicates
-from identification.estimate.covariance import Covariances, bound, covariances
-from identification.estimate.default import identify
+from identification.estimate import replicates
+from identification.estimate.covariance import bound, covariances
 from identification.estimate.inertia import (
     Equation,
-    Replicate,
-    instruments,
+    inflation_factors,
     least_variance,
-    replicate_instruments,
+    mean_curve,
 )
 from identification.estimate.refinement import Found, _unbiased
 from identification.estimate.replicates import (
     Bias,
-    _Scored,
     likelihood_bias,
     logged_share,
 )
 from identification.filter.experiment import Experiment, Filter
-from identification.filter.kalman import DIRECTION
 from identification.filter.likelihood import HUBER_THRESHOLD, Point, likeliest_noise, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
-from identification.recording import Array, Dataset, Model, Pendulum, Recording
+from identification.recording import Array, Model, Pendulum, Recording
 from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
@@ -90,25 +83,6 @@ def sticky_with_bias(seed: int) -> tuple[Point, Bias]:
     return point, bias
 
 
-def silent(point: Point) -> Replicate:
-    """Return a replicate without information."""
-    rows = len(point.owners)
-    nothing = BlockArrow(
-        np.zeros((rows, len(point.free))), np.zeros(rows), point.owners, point.breakaways
-    )
-    return Replicate(point, nothing, np.zeros(rows), 0)
-
-
-class Order:
-    """Numbers seeds in the order in which they come."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[int, int] = {}
-
-    def __call__(self, seed: int) -> int:
-        return self._numbers.setdefault(seed, len(self._numbers))
-
-
 SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
 
 
@@ -141,13 +115,6 @@ def unchanged(point: Point) -> Callable[[], bool]:
         np.array_equal(point.vector, vector)
         and all(map(np.array_equal, point.breakaway_times, times))
     )
-
-
-def scored(point: Point, ms: float, deviation: float = 1.0) -> _Scored:
-    """Return a replicate without information whose score steps the static limit alone."""
-    step = np.zeros(len(point.free))
-    step[point.free.index(INDEX["Ms"])] = ms
-    return _Scored(step, np.full(len(step), deviation), silent(point))
 
 
 def slopes(point: Point) -> BlockArrow:
@@ -192,56 +159,19 @@ def test_replicates_are_the_same_each_time_and_change_nothing(point: Point, bias
     assert heard[0][0] == "simulated replicates, round 1"
     assert all(0.0 < share <= 1.0 for _, share in heard)
     other = likelihood_bias(point, SYSTEM, chance(1))
-    assert other is not None
     assert all(other.shifts[n] != bias.shifts[n] for n in SYSTEM if n != "J")
     assert {r.noise for r in other.replicates}.isdisjoint({r.noise for r in bias.replicates})
-
-
-def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 8.0),))
-    likely = identify(dataset, profile=True, draws=2)
-    shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
-    bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
-    monkeypatch.setattr(refinement, "likelihood_bias", lambda *_: bias)
-    moved = identify(dataset, profile=True, draws=2)
-    for name, shift in shifts.items():
-        assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
-    for one, other in ((likely.profiles, moved.profiles), (likely.resampled, moved.resampled)):
-        for before, after in zip(one, other, strict=True):
-            assert (before.low is None) == (after.low is None)
-            if (
-                before.low is not None
-                and after.low is not None
-                and not (one is likely.profiles and before.name == "Ms")
-            ):
-                assert after.low == pytest.approx(before.low - shifts[before.name])
-    width, wider = (r.parameters["Ms"] for r in (likely, moved))
-    assert width.high is not None
-    assert wider.high is not None
-    assert wider.high - moved.values()["Ms"] == pytest.approx(
-        math.hypot(width.high - likely.values()["Ms"], 1.6449 * 0.01), rel=1e-4
-    )
-    (curve,) = (p for p in moved.profiles if p.name == "Ms")
-    assert curve.high is not None
-    assert curve.low is not None
-    assert curve.high - curve.low == pytest.approx(
-        2.0 * (wider.high - moved.values()["Ms"]), rel=0.05
-    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.8])
 def test_the_share_of_the_noise_that_is_logged_is_seen(point: Point, share: float) -> None:
     point = replace(point, noise=Noise(0.4))
     seen_loop = replicates._loop(point.motions)
-    assert seen_loop is not None
     loop = replace(
         seen_loop, count=1e-6
     )  # of a finer encoder, whose steps the drive does not answer loudly
     noise = replicates._drawn(point, point.motions[0], np.random.default_rng(1), 1.0, share)
     played = replicates._replicate(point, point.motions[0], loop, noise)
-    assert played is not None
     channels = {
         **played.recording.channels,
         "command": point.motions[0].recording.channels["command"],
@@ -253,30 +183,8 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(point: Point, share: floa
 
 def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged(short: Point) -> None:
     loop = replicates._loop(short.motions)
-    assert loop is not None
     for quiet in (0.0, 1e-4):  # the drive answers to its encoder's steps too
         assert logged_share(replace(short, noise=Noise(quiet)), loop, chance()) == 0.5
-
-
-def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off(
-    point: Point, bias: Bias, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names, same = SYSTEM, unchanged(point)
-    values = {name: TRUTH[name] for name in names}
-    found = Found(values, Spread(names, 1e-6 * np.eye(5), math.inf))
-    there: list[Array] = []
-
-    def recorded(moved: Point, replicates: Sequence[Replicate]) -> Covariances:
-        there.append(moved.vector.copy())
-        return covariances(moved, replicates)
-
-    monkeypatch.setattr(refinement, "covariances", recorded)
-    solved = refinement._with_instruments(refinement._unbiased(found, bias), point, bias)
-    expected = {name: values[name] - bias.shifts[name] for name in names}
-    assert unpack(there[0], names) == pytest.approx(expected)
-    assert solved.values["J"] != expected["J"]
-    assert np.all(np.diag(solved.spread.covariance)[:4] > [bias.variances[n] for n in names[:4]])
-    assert same()
 
 
 def test_what_cannot_be_simulated_is_left_as_it_is() -> None:
@@ -300,58 +208,6 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
         assert _unbiased(found, Bias({**small.shifts, name: shift}, small.variances)) is found
 
 
-def test_where_a_replicate_fails_another_noise_is_taken(
-    short: Point, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    failing, order = {0}, Order()
-
-    def step(
-        joint: Point, _loop: object, _share: float, seed: int, sign: float, *_: float
-    ) -> object:
-        number = order(seed)
-        failed = number in failing and sign < 0.0
-        return None if failed else scored(joint, 1e-3 * (number + 2.0 * sign))
-
-    monkeypatch.setattr(replicates, "_step", step)
-    bias = likelihood_bias(short, SYSTEM, chance())
-    assert bias is not None
-    assert bias.shifts["Ms"] == pytest.approx(1e-3 * (1 + 2 + 3) / 3)
-    assert bias.variances["Ms"] == pytest.approx(1e-6 / 3)
-    failing |= set(range(9)) - {3}  # one pair has no variance
-    assert likelihood_bias(short, SYSTEM, chance()) is None
-
-
-@pytest.mark.parametrize(("spread", "noises"), [(0.1, 3), (0.5, 6)])
-def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
-    short: Point, monkeypatch: pytest.MonkeyPatch, spread: float, noises: int
-) -> None:
-    taken, order = [], Order()
-
-    def step(joint: Point, _loop: object, _share: float, seed: int, *_: float) -> object:
-        taken.append(order(seed))
-        return scored(joint, spread * (-1.0) ** taken[-1])
-
-    monkeypatch.setattr(replicates, "_step", step)
-    assert likelihood_bias(short, SYSTEM, chance()) is not None
-    assert taken == [k for k in range(noises) for _ in range(2)]
-
-
-@pytest.mark.parametrize(("deviation", "share"), [(1e3, 0.1), (1e-3, 1.0 / 11.0)])
-def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(
-    short: Point, monkeypatch: pytest.MonkeyPatch, deviation: float, share: float
-) -> None:
-    """Where it is a tenth of the value, the estimate less an eleventh is off by as much."""
-    place = short.free.index(INDEX["Ms"])
-    monkeypatch.setattr(
-        replicates,
-        "_step",
-        lambda joint, *_: scored(joint, 0.1 * joint.origin()[place], deviation),
-    )
-    bias = likelihood_bias(short, SYSTEM, chance())
-    assert bias is not None
-    assert bias.shifts["Ms"] / short.origin()[place] == pytest.approx(share, rel=2e-3)
-
-
 @given(
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
@@ -371,7 +227,6 @@ def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_oth
 ):
     point = at(STICKY, [beginning(r, 12.0) for r in sticky(0)[:1]], SYSTEM)
     bias = likelihood_bias(point, SYSTEM, chance(), ReplicateSettings(turns=1))
-    assert bias is not None
     assert len({r.noise for r in bias.replicates}) >= 3
     j = point.free.index(INERTIA)
     plain, found = covariances(point), covariances(point, bias.replicates)
@@ -382,28 +237,8 @@ def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_oth
     assert abs(there.step[j]) < 0.1 * abs(found.step[j])
 
 
-def test_instruments_of_a_replicate_are_what_it_shows_from_sample_to_sample(point: Point) -> None:
-    """The drive's answer to single counts is in them, and a smoothed mean would have none of it."""
-    own = slopes(point)
-    rough = replace(own, parameters=own.parameters * np.resize([1.0, -1.0], len(own.own))[:, None])
-    replicate = Replicate(point, rough, np.zeros(len(own.own)), 0)
-    found = replicate_instruments(point, instruments(point, own), [replicate])
-    inside = np.flatnonzero(
-        np.diff(point.owners[: len(own.own) - point.breakaways]) == 0
-    )  # all but the last
-    assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
-    # What goes the other way is no replicate of a segment.
-    plain, other = instruments(point, own), at(TRUTH, unloaded(8.0), SYSTEM)
-    other.motions[0].table[:, DIRECTION] *= -1.0
-    found = replicate_instruments(point, plain, [replace(replicate, point=other)])
-    assert np.array_equal(found.parameters, plain.parameters)
-
-
 @pytest.mark.proof
 def test_the_floor_is_that_of_a_bench_without_noise() -> None:
-    """Its sensitivities hold none, and at the noise levels of the noisy one give the bound
-    itself.
-    """
     over, count = [], len(NAMES)
     joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
     machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
@@ -423,3 +258,66 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     for name in ("J", "mu_s"):
         assert mean[name] == pytest.approx(1.0, abs=0.3)
     assert 1.0 / 2.5 < mean["omega_sL"] < 2.5
+
+
+ALIKE = np.full(10, 1000, dtype=np.int64)
+"""Samples of stretches of one length."""
+
+
+def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> None:
+    stretches = np.array([np.diag([1.0, 1.0])] * 9 + [np.diag([1.0, 9991.0])])
+    one = np.zeros(10, dtype=np.int64)
+    doubt = inflation_factors(stretches, ALIKE, one, 3.0)
+    assert doubt == pytest.approx([1.0] * 9 + [np.sqrt(9991.0 / 3.0)])
+    believed = np.sum(stretches / doubt[:, None, None] ** 2, axis=0)
+    assert believed == pytest.approx(np.diag([9.0 + 3.0 / 9991.0, 9.0 + 3.0]))
+    assert inflation_factors(stretches[:9], ALIKE[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
+
+
+def test_recordings_are_judged_each_by_its_own_stretches() -> None:
+    light, heavy = np.diag([1.0, 1.0, 1e-15]), np.diag([1.0, 100.0, 1.0])
+    stretches = np.array([light] * 2 + [10.0 * light] + [heavy] * 3)
+    doubt = inflation_factors(stretches, ALIKE[:6], np.repeat([0, 1], 3), 3.0)
+    assert doubt == pytest.approx([1.0, 1.0, np.sqrt(10.0 / 3.0), 1.0, 1.0, 1.0])
+
+
+def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
+    rng = np.random.default_rng(0)
+    slopes = BlockArrow(
+        rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3
+    )
+    told = slopes.information_by_block()
+    weight = np.ones(12)
+    assert np.sum(told, axis=0) == pytest.approx(slopes.eliminated(weight, weight).matrix)
+    own, along = slopes.parameters[4:8], slopes.own[4:8]
+    clear = own - np.outer(along, along @ own) / (along @ along)
+    assert told[1] == pytest.approx(clear.T @ clear)
+
+
+ONSETS = st.floats(-20.0, 60.0)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 50), min_size=1, max_size=4),
+    length=st.integers(1, 50),
+    data=st.data(),
+)
+def test_straight_lines_from_breakaway_lie_on_one_another_where_there_are_any(
+    lengths: list[int], length: int, data: st.DataObject
+) -> None:
+    onsets = [data.draw(ONSETS) for _ in lengths]
+    onset = data.draw(ONSETS)
+    lines = [
+        np.outer(np.arange(n) - begun, [1.0, -2.0])
+        for n, begun in zip(lengths, onsets, strict=True)
+    ]
+    mean, seen = mean_curve(lines, onsets, length, onset)
+    assert mean.shape == (length, 2)
+    for k in range(length):
+        place = [np.floor(k + begun - onset) for begun in onsets]
+        count = sum(0 <= at < n - 1 for at, n in zip(place, lengths, strict=True))
+        edge = any(abs(k + begun - onset - round(k + begun - onset)) < 1e-9 for begun in onsets)
+        assert edge or seen[k, 0] == count
+        assert mean[k] == pytest.approx(
+            [k - onset, 2.0 * (onset - k)] if seen[k, 0] else [0.0, 0.0], abs=1e-9
+        )

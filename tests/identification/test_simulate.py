@@ -1,17 +1,33 @@
-"""The forward simulation against closed forms, a library's integrator, and itself at a finer
-step.
-"""
+"""The forward simulation, and loads that pull the same way at every angle."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import integrate
 
+from identification.diagnosis.unexplained import unrecorded_effects
+from identification.diagnosis.within_limits import views_and_fit
+from identification.effects import MOTION
+from identification.effects.effect import Context
+from identification.effects.model import CorrectedModel, predictions
+from identification.filter.segments import motion
+from identification.model.parameters import NOMINAL
 from identification.prepare import prepare
-from identification.recording import Bench, Controller, Pendulum, Recording, RecordingError
+from identification.recording import (
+    Bench,
+    Controller,
+    Dataset,
+    Hoist,
+    Model,
+    Pendulum,
+    Recording,
+    RecordingError,
+)
 from identification.simulate.closed_loop import (
     OPEN_LOOP,
     Inputs,
@@ -24,8 +40,10 @@ from identification.simulate.closed_loop import (
     simulate,
     with_friction,
 )
+from identification.simulate.drive_loop import Loop, drive_loop, respond
+from identification.views.view import views
 
-from .synthetic import TRUTH
+from .synthetic import TRUTH, sine
 
 
 def recording(
@@ -98,31 +116,6 @@ def test_without_friction_it_agrees_with_a_library_on_a_driven_pendulum() -> Non
     assert np.max(np.abs(finer.angle - truth.y[0])) < 0.2 * np.max(np.abs(out.angle - truth.y[0]))
 
 
-def test_friction_under_a_load_is_felt_and_energy_only_falls() -> None:
-    """A free pendulum with load-dependent friction: it comes to rest sooner than without, and never
-    gains energy.
-    """
-    time = np.linspace(0.0, 4.0, 4001)
-    r = recording(Pendulum(0.4, 0.1), time=time)
-    energies = []
-    for mu in (0.0, 0.1):
-        values = {"J": 0.002, "mu_gc": mu, "mu_gs": 2.0 * mu, "omega_sf": 0.5, "Mc": 1e-3}
-        out = simulate(body_of(values, r, 2.0), OPEN_LOOP, inputs(time), 1.5, 0.0)
-        energy = 0.5 * (0.002 + 0.004) * out.velocity**2 - 0.4 * 9.80665 * 0.1 * np.cos(out.angle)
-        energies.append(energy)
-    assert energies[1][-1] < energies[0][-1]
-    assert np.max(np.diff(energies[1])) < 1e-4 * np.ptp(energies[1])
-
-
-def test_stick_slip_of_a_soft_loop_hardly_depends_on_the_step() -> None:
-    time = np.linspace(0.0, 5.0, 5001)
-    command = 0.35 * np.sin(0.4 * math.pi * time)
-    r = recording(controller=Controller("torque", 400.0, 10.0), time=time, command=command)
-    coarse, fine = (replay(r, TRUTH, 2.0, step) for step in (2.5e-4, 2.5e-5))
-    assert np.sum(np.diff((coarse.velocity != 0.0).astype(int)) > 0) >= 2
-    assert np.sqrt(np.mean((coarse.angle - fine.angle) ** 2)) < 1e-4
-
-
 def test_the_controller_saturates_and_the_motor_brakes_itself() -> None:
     time = np.linspace(0.0, 5.0, 501)
     bench = Bench(torque_constant=0.5, back_emf_constant=0.5, resistance=4.0)
@@ -172,3 +165,139 @@ def test_scores_of_a_simulation_against_itself_and_against_one_without_friction(
     assert same.torque_rms < 1e-12
     assert none.torque_rms == pytest.approx(TRUTH["Mc"], rel=0.5)
     assert pooled([same, none]).torque_rms == pytest.approx(none.torque_rms / math.sqrt(2.0))
+
+
+G = 9.80665
+
+
+def lifting(hoist: Hoist, drag_N_m: float = 0.0) -> Recording:
+    """A sine under a mass that the drive lifts on the way forward, and a constant drag."""
+    bare = sine()
+    w = 2.0 * np.pi * 0.2
+    acceleration = -0.35 * w**2 * np.sin(w * bare.time)
+    torque = bare.channels["torque"] + hoist.mass * G * hoist.radius + drag_N_m
+    torque = torque + hoist.mass * hoist.radius**2 * acceleration
+    return replace(
+        bare,
+        channels={**bare.channels, "torque": torque},
+        hoist=hoist,
+        constant_torque=-drag_N_m,
+    )
+
+
+@pytest.mark.parametrize("radius", [0.4, -0.4])
+def test_a_known_load_leaves_the_torque_of_the_bare_joint(radius: float) -> None:
+    loaded, bare = lifting(Hoist(3.0, radius), 2.5), sine()
+    found, wanted = prepare(loaded, 40.0), prepare(bare, 40.0)
+    assert found.torque == pytest.approx(wanted.torque, abs=2e-3)
+    lifted = found.drive_torque - wanted.drive_torque
+    assert np.mean(lifted) == pytest.approx(3.0 * G * radius + 2.5, abs=0.2)
+    seen, plain = views([loaded], 25.0)[0], views([bare], 25.0)[0]
+    assert seen.low_pass(seen.torque) == pytest.approx(plain.low_pass(plain.torque), abs=5e-3)
+    assert seen.hanging == pytest.approx(np.full(len(seen.time), -3.0 * G * radius - 2.5))
+
+
+@pytest.mark.parametrize("pendulum", [None, Pendulum(3.0, 0.4, 0.2)])
+def test_a_predicted_torque_leaves_known_loads_to_themselves(pendulum: Pendulum | None) -> None:
+    recording = lifting(Hoist(3.0, 0.4)) if pendulum is None else sine(pendulum=pendulum)
+    model = CorrectedModel(TRUTH)
+    (predicted,) = predictions(views([recording], 25.0)[0], model)
+    assert np.max(np.abs(predicted.measured[np.isfinite(predicted.measured)])) > 10.0
+    assert np.std(predicted.error) < 0.1
+    assert abs(np.mean(predicted.error)) < 0.01
+
+
+def test_the_likelihood_takes_the_hoisted_mass(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    bare = motion(practical_pair[0])
+    hung = motion(replace(practical_pair[0], hoist=Hoist(2.0, 0.3), constant_torque=0.5))
+    assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
+    assert bare.torque - hung.torque == pytest.approx(
+        np.full(len(bare.torque), 2.0 * G * 0.3 - 0.5)
+    )
+
+
+@pytest.mark.parametrize(
+    ("load", "borne"),
+    [
+        ({}, False),
+        ({"hoist": Hoist(3.0, 0.4)}, True),
+        ({"constant_torque": 2.0}, True),
+        ({"hoist": Hoist(3.0), "constant_torque": 3.0 * G}, False),
+    ],
+)
+def test_friction_may_grow_with_any_torque_that_the_joint_bears(
+    load: dict[str, Any], borne: bool
+) -> None:
+    here, joint = views_and_fit(Dataset((replace(sine(), **load),), Model()), 25.0)
+    term = next(t for t in MOTION if t.name == "load_dependent_friction")
+    assert bool(term.shapes(Context(here, joint.nominal))) is borne
+
+
+@pytest.mark.parametrize(
+    ("bench", "kept"),
+    [
+        (Bench(), {"cogging", "gravity_imbalance"}),
+        (Bench("linear", gear_ratio=628.3), {"cogging"}),
+        (Bench("linear"), set()),
+    ],
+)
+def test_a_carriage_has_no_angle_and_a_screw_has_the_motors(bench: Bench, kept: set[str]) -> None:
+    recording = replace(sine(), bench=bench)
+    excluded, _ = unrecorded_effects([recording], views([recording], 25.0))
+    assert {"cogging", "gravity_imbalance"} - excluded == kept
+
+
+PERIOD = 1e-3
+STEP = 2.0 * np.pi / 409600.0
+BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
+
+
+def recorded(loop: Loop, late: int = 1, noise: float = 0.06, seed: int = 0) -> Recording:
+    """Return 20 s at 20 deg and 0.2 Hz."""
+    rng = np.random.default_rng(seed)
+    count = 20000
+    time = PERIOD * np.arange(count)
+    command = math.radians(20.0) * np.sin(2.0 * np.pi * 0.2 * time) * np.minimum(time, 1.0)
+    given = np.concatenate([np.zeros(late), command[: count - late]])
+    out = respond(given, PERIOD, NOMINAL, 0.0, 2.0, loop, noise * rng.standard_normal(count))
+    channels = {
+        "time": time,
+        "command": command,
+        "motor_angle": BENCH.gear_ratio * np.floor(out.angle / STEP) * STEP,
+        "current": out.torque / 3.0,
+    }
+    return Recording(name="run", channels=channels, bench=BENCH, averaged=frozenset({"current"}))
+
+
+@pytest.mark.parametrize(
+    ("velocity", "position", "integral"), [(120.0, 60.0, 60.0), (60.0, 25.0, 50.0)]
+)
+def test_the_gains_are_those_of_the_drive(
+    velocity: float, position: float, integral: float
+) -> None:
+    found = drive_loop(
+        [recorded(Loop(position, velocity, integral, 400.0, 75.0, STEP))], 75.0, STEP
+    )
+    assert found.velocity_gain == pytest.approx(velocity, rel=0.08)
+    assert found.position_gain + found.integral == pytest.approx(position + integral, rel=0.1)
+    assert found.position_gain * found.integral == pytest.approx(position * integral, rel=0.1)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.25e-3])
+def test_how_late_the_torque_is_comes_from_the_delay(lag: float) -> None:
+    found = drive_loop([recorded(Loop(60.0, 120.0, 60.0, 400.0, 75.0, STEP, lag))], 75.0, STEP)
+    assert found.lag == pytest.approx(lag, abs=0.12e-3)
+
+
+def test_what_is_no_such_loop_is_not_taken_for_one() -> None:
+    recording = recorded(Loop(60.0, 120.0, 60.0, 400.0, 75.0, STEP))
+    shuffled = np.random.default_rng(1).permutation(recording.channels["current"])
+    other = replace(recording, channels={**recording.channels, "current": shuffled})
+    assert drive_loop([other], 75.0, STEP) is None
+    blind = replace(
+        recording, channels={k: v for k, v in recording.channels.items() if k != "command"}
+    )
+    assert drive_loop([blind], 75.0, STEP) is None
+    assert drive_loop([], 75.0, STEP) is None

@@ -9,8 +9,6 @@ from identification.diagnosis.result import Estimate
 from identification.diagnosis.statement import sentence
 from identification.effects import EFFECTS
 from identification.model.parameters import (
-    UNITS_LINEAR,
-    UNITS_ROTARY,
     parameter_title,
     parameter_unit,
     torque_word,
@@ -37,25 +35,6 @@ def test_a_unit_on_a_linear_bench(unit: str, linear: str, amperes: str) -> None:
     assert unit_on("linear", unit, amperes=True) == amperes
 
 
-def test_parameters_of_the_model_have_no_rotary_unit_on_a_linear_bench() -> None:
-    assert UNITS_LINEAR.keys() == UNITS_ROTARY.keys()
-    assert not [unit for unit in UNITS_LINEAR.values() if "rad" in unit or "N m" in unit]
-
-
-@pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
-def test_parameters_of_effects_have_no_rotary_unit_on_a_linear_bench(entry: object) -> None:
-    for q in entry.parameters:  # type: ignore[attr-defined]
-        unit, title = parameter_unit("linear", q.name, q.unit), parameter_title("linear", q.name)
-        assert parameter_title("rotary", q.name) == q.name
-        if not q.name.startswith(("phase", "zero")):
-            assert "rad" not in unit
-            assert "N m" not in unit
-            assert "rad" not in title.replace("per_rad", "")
-            assert "Nm" not in title
-    assert parameter_title("linear", "torque_Nm") == "torque_N"
-    assert parameter_title("linear", "phase_rad") == "phase_rad"
-
-
 @pytest.mark.parametrize(
     ("channels", "motion", "word", "unit"),
     [
@@ -77,3 +56,17 @@ def test_the_logged_quantity_is_named(
     late = {"time_s": Estimate(0.00078, 0.0007, 0.0009, "s")}
     assert sentence(EFFECTS["time_skew"], late, (), word).startswith(f"the {word} is sampled 0.78")
     assert torque_word("rotary") == "torque"
+
+
+@pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
+def test_parameters_of_effects_have_no_rotary_unit_on_a_linear_bench(entry: object) -> None:
+    for q in entry.parameters:  # type: ignore[attr-defined]
+        unit, title = parameter_unit("linear", q.name, q.unit), parameter_title("linear", q.name)
+        assert parameter_title("rotary", q.name) == q.name
+        if not q.name.startswith(("phase", "zero")):
+            assert "rad" not in unit
+            assert "N m" not in unit
+            assert "rad" not in title.replace("per_rad", "")
+            assert "Nm" not in title
+    assert parameter_title("linear", "torque_Nm") == "torque_N"
+    assert parameter_title("linear", "phase_rad") == "phase_rad"

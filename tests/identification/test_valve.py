@@ -1,10 +1,9 @@
-"""Areas of the swinging gate: the paper's figures, and areas counted without any formula for
-them.
-"""
+"""Areas of the swinging gate, and what presses on it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.model.gas_generator import PAPER, ValveGeometry, impacted_area, throat_area
+from identification.filter.segments import motion
+from identification.model.gas_generator import (
+    PAPER,
+    GasGenerator,
+    ValveGeometry,
+    impacted_area,
+    throat_area,
+)
+from identification.prepare import contact_force, contact_moment, prepare
+from identification.recording import Array, Bench, Recording, RecordingError
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(400)
 
@@ -90,3 +98,65 @@ def test_any_valve(d: float, D: float, slack: float, angle: float) -> None:
 def test_a_valve_that_cannot_be_built(wrong: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         ValveGeometry(**wrong)
+
+
+BENCH = Bench(
+    torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095, gas_generator=GasGenerator()
+)
+TIME = np.arange(2000) * 1e-3
+ANGLE = np.deg2rad(10.0 * np.sin(np.pi * TIME))
+
+
+def recording(weight: float = 0.0, bench: Bench = BENCH, **channels: Array) -> Recording:
+    given = {"time": TIME, "angle": ANGLE, "current": np.zeros(len(TIME)), **channels}
+    return Recording("one", given, bench, stage="loaded", weight_mass=weight)
+
+
+def test_a_hot_firing_presses_with_its_pressure_on_the_impacted_area() -> None:
+    pressure = np.linspace(4e6, 5e6, len(TIME))
+    hot = recording(pressure=pressure)
+    assert hot.hot_fire
+    force = contact_force(hot, TIME, np.zeros(len(TIME)))
+    np.testing.assert_allclose(force, (pressure - 0.5e6) * 7.657632e-4, rtol=1e-6)
+    np.testing.assert_allclose(contact_moment(hot, TIME, np.zeros(len(TIME))), 0.095 * force)
+    covered = contact_force(hot, TIME, np.full(len(TIME), np.deg2rad(29.7)))
+    np.testing.assert_allclose(covered, 0.0, atol=1e-8)
+    assert np.all(prepare(hot).moment > 0.0)
+
+
+def test_a_weight_or_a_measured_force_goes_before_the_pressure() -> None:
+    pressure = np.full(len(TIME), 4e6)
+    weighed = recording(weight=30.0, pressure=pressure)
+    assert not weighed.hot_fire
+    np.testing.assert_allclose(contact_force(weighed, TIME, ANGLE), 30.0 * 98.0665)
+    measured = recording(pressure=pressure, load_force=np.full(len(TIME), 123.0))
+    np.testing.assert_allclose(contact_force(measured, TIME, ANGLE), 123.0)
+
+
+def test_a_hot_firing_needs_the_valve() -> None:
+    hot = recording(bench=replace(BENCH, gas_generator=None), pressure=np.full(len(TIME), 4e6))
+    with pytest.raises(RecordingError, match=r"valve and p_c0 of bench\.gas_generator"):
+        contact_force(hot, TIME, ANGLE)
+
+
+def test_a_load_needs_its_arm() -> None:
+    with pytest.raises(RecordingError, match="moment_arm"):
+        contact_moment(recording(weight=30.0, bench=replace(BENCH, moment_arm=None)), TIME, ANGLE)
+
+
+def test_the_filter_takes_the_mean_load_of_each_period() -> None:
+    """The torque of a sample is the mean over the period that ends there."""
+    up = np.deg2rad(8.0 * (1.0 - np.cos(2.0 * np.pi * np.arange(500) * 1e-3)))
+    angle = np.concatenate(
+        (np.full(300, up[0]), up, np.full(300, up[-1]), up[::-1], np.full(300, up[0]))
+    )
+    angle = np.round(angle / 1e-5) * 1e-5
+    time = np.arange(len(angle)) * 1e-3
+    pressure = 4e6 - 1e6 * time
+    channels = {"time": time, "angle": angle, "current": np.sin(time), "pressure": pressure}
+    found = motion(
+        Recording("hot", channels, BENCH, stage="loaded", averaged=frozenset({"current"}))
+    )
+    at_samples = contact_moment(found.recording, time, angle)
+    np.testing.assert_allclose(found.moment[1:], 0.5 * (at_samples[1:] + at_samples[:-1]))
+    np.testing.assert_allclose(found.breakaway_moment, found.moment[found.seen.astype(int)])

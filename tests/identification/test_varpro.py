@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import solve_stages
-from identification.estimate.equation_error import (
-    loaded_stage,
-    model_torque,
-    solve,
-    unloaded_stage,
-)
 from identification.prepare import prepare
 from identification.recording import Model, Recording
 
-from .synthetic import LOAD, SYSTEM, TRUTH, sine
+from .synthetic import TRUTH, sine
 
 EXACT_HZ = 500.0
 WEIGHT_KG = 30.6
@@ -57,34 +51,13 @@ def test_other_stribeck_exponents(alpha: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "fixed",
-    [
-        {"Mc": 7.0, "Ms": 11.5},
-        {"omega_sf": 0.05},
-        {"sigma_2": 5.0, "J": 0.25},
-        {"omega_sL": 0.03, "mu_c": 0.05},
-        {"mu_s": 0.08},
-    ],
-    ids=lambda fixed: "+".join(fixed),
-)
-def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> None:
-    found = estimate(Model(fixed=fixed), sine(), sine(weight=WEIGHT_KG))
-    assert {name: found[name] for name in fixed} == pytest.approx(fixed, rel=1e-12)
-
-
-@pytest.mark.parametrize(
     "names",
-    [("Mc",), ("Ms",), ("omega_sf", "J"), ("mu_c",), ("mu_s", "omega_sL")],
+    [("Ms",), ("omega_sf", "J"), ("mu_s", "omega_sL")],
     ids="+".join,
 )
 def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:
     found = estimate(Model(fixed={n: TRUTH[n] for n in names}), sine(), sine(weight=WEIGHT_KG))
     assert_close(found, TRUTH, 1e-6)
-
-
-def test_everything_fixed_leaves_nothing_to_fit() -> None:
-    fixed = {name: TRUTH[name] for name in SYSTEM}
-    assert estimate(Model(fixed=fixed), sine()) == pytest.approx(fixed)
 
 
 @pytest.mark.parametrize("offset", [-0.8, 0.4])
@@ -95,33 +68,20 @@ def test_declared_offset_comes_back_with_its_sign(offset: float) -> None:
     assert_close(found, {**TRUTH, "offset": offset}, 1e-6)
 
 
-def test_undeclared_offset_is_not_fitted() -> None:
-    assert set(estimate(Model(), sine(offset=0.4))) == set(SYSTEM)
-
-
 def test_friction_that_falls_toward_rest_ends_on_the_bound() -> None:
     """Ms below Mc is outside the model: the rise stays at 0, exactly."""
     found = estimate(Model(), sine({**TRUTH, "Ms": 0.7 * TRUTH["Mc"]}))
     assert found["Ms"] == found["Mc"]
 
 
-def test_history_holds_the_best_so_far() -> None:
-    stage = unloaded_stage([prepare(sine(), EXACT_HZ)], Model())
-    solution = solve(stage.design, *stage.speed_range())
-    assert np.all(np.diff(solution.cost_history) <= 0.0)
-    assert solution.cost_history[-1] == solution.cost
-    assert solution.omega_history[-1] == solution.omega_s
-    assert len(solution.cost_history) == solution.evaluations < 100
-
-
-def test_stages_name_what_they_fit() -> None:
-    p, q = prepare(sine(), EXACT_HZ), prepare(sine(weight=WEIGHT_KG), EXACT_HZ)
-    assert set(unloaded_stage([p], Model()).names) == set(SYSTEM)
-    assert set(loaded_stage([q], Model(), TRUTH).names) == set(LOAD)
-
-
-@pytest.mark.parametrize("weight", [0.0, WEIGHT_KG])
-def test_model_torque_at_the_truth_is_the_torque(weight: float) -> None:
-    p = prepare(sine(weight=weight, offset=0.3), EXACT_HZ)
-    error = p.torque - model_torque(p, {**TRUTH, "offset": 0.3}, 2.0)
-    assert np.max(np.abs(error[p.used])) < 1e-8
+@pytest.mark.parametrize(
+    "fixed",
+    [
+        {"Mc": 7.0, "Ms": 11.5},
+        {"omega_sL": 0.03, "mu_c": 0.05},
+    ],
+    ids=lambda fixed: "+".join(fixed),
+)
+def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> None:
+    found = estimate(Model(fixed=fixed), sine(), sine(weight=WEIGHT_KG))
+    assert {name: found[name] for name in fixed} == pytest.approx(fixed, rel=1e-12)

@@ -28,12 +28,6 @@ TRANSPORTS: Mapping[str, str] = {
     "socketcand": "practical",
 }
 """Name to the packaged bench that is behind it."""
-TITLES: Mapping[str, str] = {
-    "serial": "EPOS serial, AMT21",
-    "slcan": "CANopen over slcan",
-    "dbc": "CAN frames of its own (DBC) over slcan",
-    "socketcand": "CANopen over socketcand",
-}
 _EDS = Path(drivers.mock.__file__).parent
 _START_S = 60.0
 _ANSWER_S = 20.0
@@ -83,9 +77,7 @@ class Account:
         )
 
     def off_after_s(self, ns: int) -> float | None:
-        """Return how long after ``ns`` the power was off for good, s; 0 where it already was, None
-        where it is on.
-        """
+        """Return how long after ``ns`` the power was off for good, s."""
         if self.on:
             return None
         return max(0.0, (self.powered[-1][0] - ns) / NS)
@@ -118,11 +110,7 @@ class Bench:
         self.renew()
 
     def ask(self, order: str) -> dict[str, Any]:
-        """Have an order carried out; returns the answer.
-
-        Raises:
-            BenchError: The process has ended.
-        """
+        """Have an order carried out."""
         try:
             self._process.stdin.write(order + "\n")
             self._process.stdin.flush()
@@ -167,11 +155,7 @@ class Bench:
         return int(self.ask(f"garbage {seed}")["ns"])
 
     def wait_for_host(self, ended: Callable[[], object], patience_s: float = _START_S) -> None:
-        """Wait until a host program has sent something.
-
-        Raises:
-            BenchError: ``ended()`` returns something before it does, or it takes too long.
-        """
+        """Wait until a host program has sent something."""
         limit = time.monotonic() + patience_s
         while not self.account().heard_ns:
             if (why := ended()) is not None or time.monotonic() > limit:
@@ -181,9 +165,7 @@ class Bench:
     def write_file(
         self, folder: Path, name: str = "bench.yaml", cycle_Hz: int = 100, **limits: float
     ) -> Path:
-        """Write the bench file that names its ports; slow and patient, as the machine may be busy
-        with other things.
-        """
+        """Write the bench file that names its ports."""
         bench = yaml.load(resolve(TRANSPORTS[self.transport], "benches").read_text(), _Loader)  # noqa: S506
         del bench["mock"]
         bench["name"] = self.transport

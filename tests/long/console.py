@@ -5,6 +5,7 @@ keyboard.
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import os
 import pty
@@ -19,10 +20,12 @@ import termios
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from rig.cli.entry import status
 
 ROOT = Path(__file__).resolve().parents[2]
 RIG = ("-c", "from rig.cli.entry import main; main()")
@@ -91,9 +94,7 @@ def unwrapped(text: str) -> str:
 
 
 def rig_off(bench: Path, env: Mapping[str, str]) -> str:
-    """Use `rig off`, before other programs of a busy computer; return what is wrong with its end,
-    or an empty text.
-    """
+    """Use `rig off`, before other programs of a busy computer."""
     words = ["nice", "-n", "-5", sys.executable, *RIG, "off", str(bench)]
     environment = os.environ | {"PYTHONPATH": str(ROOT), **env}
     done = subprocess.run(words, capture_output=True, text=True, env=environment)
@@ -101,11 +102,19 @@ def rig_off(bench: Path, env: Mapping[str, str]) -> str:
     return "" if good else f"rig off ended with {done.returncode}: {done.stderr[-200:]}"
 
 
+def rig(*words: str, check: bool = True) -> str:
+    """Run a command in this process; returns what it says, and ends the program where it fails."""
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        code = status(list(words))
+    if code and check:
+        raise SystemExit(f"rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
+    return said.getvalue()
+
+
 @dataclass(frozen=True)
 class Streams:
-    """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path; standard error
-    is the terminal.
-    """
+    """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path."""
 
     stdin: str = "tty"
     stdout: str = "tty"

@@ -74,9 +74,7 @@ def run_block(block: Block, folder: Path, environment: dict[str, str]) -> bool:
 
 
 def borrowed(name: str, folder: Path) -> bool:
-    """Link a shared recording and those beside it into a folder; False where there is none of this
-    name.
-    """
+    """Link a shared recording and those beside it into a folder."""
     found = next(RECORDINGS.rglob(name), None) if RECORDINGS.is_dir() else None
     if found is None:
         return False
@@ -87,9 +85,7 @@ def borrowed(name: str, folder: Path) -> bool:
 
 
 def shim(folder: Path) -> dict[str, str]:
-    """Put a command ``rig`` of this interpreter and this repository on the path; return the
-    environment.
-    """
+    """Put a command ``rig`` of this interpreter and this repository on the path."""
     script = folder / ".bin" / "rig"
     script.parent.mkdir()
     script.write_text(

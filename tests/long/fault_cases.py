@@ -69,9 +69,7 @@ RIDES = Must(0, "all 1 stages done")
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them;
-    the stage of the run, and how long after the start of the excitation the fault comes, s.
-    """
+    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them."""
 
     rows: tuple[Mapping[str, Any], ...]
     rest: Must

@@ -150,7 +150,7 @@ _DEAD: Mapping[str, Case] = {
         at(NO_POWER, Must(-9, "", 0.0, verified=False)),
     ),
 }
-"""The guardian is a process of its own, for real ports: see tests/long/guardian.py.
+"""The guardian is a process of its own, for real ports: see tests/long/moments.py.
 
 Here is what is left without it.
 """

@@ -1,21 +1,26 @@
-"""A million random and mutated frames or bytes for every decoder: no exception but the declared
-ones.
+"""Random and mutated input for everything that reads: no exception but the declared ones.
 
-Each function takes how much to do and a generator, and returns counts. Frames are half random, half
-mutations of good ones (identifier, length, bits), since random ones alone seldom get past the first
-check.
+python -m tests.long.fuzz [--count N] [--logs N] [--seed N] [NAME ...]
+
+Frames and bytes for every decoder, half random, half mutations of good ones, since random ones
+alone seldom get past the first check; damaged recordings; EDS files, DBC files and maps, each read
+as it states or refused in words; logs of every format, each read to the last bit or something is
+said, and damaged ones. What ends the program is told with its number.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
+import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from random import Random
 
 import numpy as np
 
@@ -26,19 +31,31 @@ from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.link import CanopenLink
 from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS, SimulatedClock
+from drivers.dbc.codec import crc8_j1850
+from drivers.dbc.link import DbcLink
+from drivers.dbc.servo import DbcServo
 from drivers.epos import frames as epos_serial
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import RawFrame
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales, ServoScales
+from rig.common.errors import InputError
 from rig.common.sample import Sample
+from rig.config.bench import load_bench
+from rig.config.campaign_sections import ReadSection
+from rig.config.dbc import wire
 from rig.runs.mcap.reader import NotARecordingError, read_run
 from rig.runs.recorder import open_recorder
+from rig.sources.formats import open_table
 
 BATCH = 50
+REPORT = 10_000
+KEPT = 50
+"""Logs of a format that are kept to be damaged."""
+MEMORY = Path("/dev/shm")
 CYCLE_S = 0.001
 SCALES = ServoScales(
     counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
@@ -99,11 +116,7 @@ def random_frame(rng: np.random.Generator) -> RawFrame:
 
 
 def fuzz_link(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed frames to the host's link while its devices are silent.
-
-    A frame that is not whole process data of the right identifier must leave every sample as it
-    was; one that is may change the sample, which must then still be computed.
-    """
+    """Feed frames to the host's link while its devices are silent."""
     bench = simulated_bench(Machine(), 0)
     tap = _Tap(bench.bus, bench.clock)
     link = CanopenLink(bench.clock, lambda: tap)
@@ -209,9 +222,7 @@ def fuzz_sdo_client(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_twins(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed frames to the simulated devices as a mad host would; they answer what they like, and go
-    on.
-    """
+    """Feed frames to the simulated devices as a mad host would."""
     bench = simulated_bench(Machine(), 0)
     good = [
         RawFrame(0, 0x000, bytes([1, 1]), True),
@@ -240,36 +251,43 @@ def fuzz_twins(count: int, rng: np.random.Generator) -> Counter[str]:
     return counts
 
 
-def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` bytes of noise and of damaged frames to the EPOS decoder, in pieces of any
-    length.
+def _spoiled(encoded: Callable[[], bytes], rng: np.random.Generator) -> bytes:
+    """Return 20 frames in a row, three of four spoiled: noise, a wrong bit, a byte missing."""
+    line = bytearray()
+    for _ in range(20):
+        good = bytearray(encoded())
+        match int(rng.integers(4)):
+            case 0:
+                good = bytearray(rng.bytes(len(good)))
+            case 1:
+                good[rng.integers(len(good))] ^= 1 << int(rng.integers(8))
+            case 2:
+                del good[rng.integers(len(good))]
+        line += good
+    return bytes(line)
 
-    What it takes for a frame must have been on the line byte by byte, check sum and stuffing
-    included, and a good frame after a pause on the line must still be found.
-    """
+
+def _pieces(line: bytes, rng: np.random.Generator) -> Iterator[bytes]:
+    at = 0
+    while at < len(line):
+        step = int(rng.integers(1, 40))
+        yield line[at : at + step]
+        at += step
+
+
+def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
+    """Feed ``count`` bytes of noise and of damaged frames to the EPOS decoder."""
     decoder = epos_serial.FrameDecoder()
     counts: Counter[str] = Counter()
     while counts["bytes"] < count:
-        line = bytearray()
-        for _ in range(20):
-            good = bytearray(
-                epos_serial.encode(int(rng.integers(256)), rng.bytes(2 * int(rng.integers(8))))
-            )
-            match int(rng.integers(4)):
-                case 0:
-                    good = bytearray(rng.bytes(len(good)))
-                case 1:
-                    good[rng.integers(len(good))] ^= 1 << int(rng.integers(8))
-                case 2:
-                    del good[rng.integers(len(good))]
-            line += good
-        at = 0
-        while at < len(line):
-            step = int(rng.integers(1, 40))
-            for found in decoder.feed(bytes(line[at : at + step])):
+        line = _spoiled(
+            lambda: epos_serial.encode(int(rng.integers(256)), rng.bytes(2 * int(rng.integers(8)))),
+            rng,
+        )
+        for piece in _pieces(line, rng):
+            for found in decoder.feed(piece):
                 counts["frames"] += 1
                 assert epos_serial.encode(*found) in line, f"{found} was never on the line"
-            at += step
         counts["bytes"] += len(line)
         decoder.clear()
         whole = epos_serial.Frame(0x60, rng.bytes(4))
@@ -280,37 +298,17 @@ def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_slcan(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` bytes of noise and of damaged lines to the decoder of CAN adapters on a serial
-    line.
-
-    What it takes for a frame must have been a whole line, and every good line after the next end of
-    one must be found.
-    """
+    """Feed ``count`` bytes of noise and of damaged lines to the decoder of CAN adapters."""
     decoder = slcan.LineDecoder()
     counts: Counter[str] = Counter()
     while counts["bytes"] < count:
-        line = bytearray()
-        for _ in range(20):
-            good = bytearray(
-                slcan.encode(int(rng.integers(0x800)), rng.bytes(int(rng.integers(9))))
-            )
-            match int(rng.integers(4)):
-                case 0:
-                    good = bytearray(rng.bytes(len(good)))
-                case 1:
-                    good[rng.integers(len(good))] ^= 1 << int(rng.integers(8))
-                case 2:
-                    del good[rng.integers(len(good))]
-            line += good
+        line = _spoiled(
+            lambda: slcan.encode(int(rng.integers(0x800)), rng.bytes(int(rng.integers(9)))), rng
+        )
         whole = int(rng.integers(0x800)), rng.bytes(8)
         line += b"\r" + slcan.encode(*whole)
-        found = []
-        at = 0
-        while at < len(line):
-            step = int(rng.integers(1, 40))
-            found += decoder.feed(bytes(line[at : at + step]))
-            at += step
-        said = b"\r" + bytes(line).replace(b"\a", b"\r").upper()
+        found = [frame for piece in _pieces(line, rng) for frame in decoder.feed(piece)]
+        said = b"\r" + line.replace(b"\a", b"\r").upper()
         for identifier, data in found:
             if identifier <= 0x7FF:
                 text = b"\r" + slcan.encode(identifier, data)[:-1].upper()
@@ -323,9 +321,7 @@ def fuzz_slcan(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_amt21(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` answers of 0 to 4 bytes to the AMT21 decoder; those it takes are whole words
-    that check.
-    """
+    """Feed ``count`` answers of 0 to 4 bytes to the AMT21 decoder."""
     counts: Counter[str] = Counter()
     for _ in range(count):
         answer = rng.bytes(2 if rng.integers(4) else int(rng.integers(5)))
@@ -337,10 +333,78 @@ def fuzz_amt21(count: int, rng: np.random.Generator) -> Counter[str]:
     return counts
 
 
+class _Silence:
+    """A port on which nobody answers and only what is slipped in arrives."""
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        self._clock = clock
+        self.slipped_in: list[RawFrame] = []
+
+    def transmit(self, identifier: int, data: bytes) -> None:
+        """Nobody hears it."""
+
+    def collect(self, timeout_s: float) -> Sequence[RawFrame]:
+        self._clock.sleep_until_ns(self._clock.now_ns() + round(timeout_s * NS))
+        frames, self.slipped_in = self.slipped_in, []
+        return frames
+
+    def shutdown(self) -> None:
+        """Nothing to close."""
+
+
+def fuzz_dbc(count: int, rng: np.random.Generator) -> Counter[str]:
+    """Feed frames to a drive's own CAN frames; what is taken has its length and its checksum."""
+    document = load_bench("practical_dbc")
+    section = document.value.servo
+    clock = SimulatedClock()
+    bus = _Silence(clock)
+    link = DbcLink(clock, lambda: bus)
+    wiring = wire(section, Path(document.path), True, document.problem)
+    channel = link.add_channel(wiring, "the drive")
+    servo = DbcServo(link, channel, section.drive(100.0, 0.03))
+    link.open()
+    link.set_cycle(CYCLE_S, "the fuzzer")
+    channel.set_cycle(CYCLE_S)
+    known = sorted(channel.slots)
+    enable = channel.wiring.enable[next(iter(channel.wiring.enable))]
+    counts: Counter[str] = Counter()
+    while counts["frames"] < count:
+        for _ in range(20):
+            identifier = int(rng.choice(known)) if rng.integers(4) else int(rng.integers(0x800))
+            data = bytearray(rng.bytes(int(rng.integers(9)) if rng.integers(4) == 0 else 8))
+            slot = channel.slots.get(identifier)
+            if slot is not None and slot.message.checksum is not None and rng.integers(2):
+                data = data[: slot.message.size - 1]
+                data.append(crc8_j1850(bytes(data) + b"\0"))
+                counts["made good"] += 1
+            flag = (EXTENDED_FLAG, REMOTE_FLAG)[rng.integers(2)] if rng.integers(10) == 0 else 0
+            frame = RawFrame(clock.now_ns(), identifier | flag, bytes(data), False)
+            bus.slipped_in.append(frame)
+        before = {identifier: (slot.data, slot.count) for identifier, slot in channel.slots.items()}
+        channel.order(enable, hold=bool(rng.integers(2)))
+        try:
+            link.exchange()
+        except DriveFault:
+            counts["faults told"] += 1
+        assert all(isinstance(value, bool | int | float) for value in servo.sample())
+        for identifier, slot in channel.slots.items():
+            data_before, count_before = before[identifier]
+            if slot.count == count_before:
+                assert slot.data is data_before
+                continue
+            counts["taken"] += slot.count - count_before
+            assert len(slot.data) == slot.message.size
+            if slot.message.checksum is not None:
+                right = crc8_j1850(slot.data[:-1] + b"\0")
+                assert slot.data[-1] == right, "a bad checksum got through"
+        link.take_frames()
+        counts["frames"] += 20
+    link.close()
+    return counts
+
+
 def fuzz_recording(count: int, rng: np.random.Generator, folder: Path) -> Counter[str]:
-    """Damage a recording of some 20 kB in ``count`` / 50 ways; what is still read is a part of what
-    was written.
-    """
+    """Damage a recording of some 20 kB in ``count`` / 50 ways."""
     whole = folder / "whole.mcap"
     write_recording(whole, 200)
     content = whole.read_bytes()
@@ -405,34 +469,97 @@ DECODERS: Mapping[str, Callable[[int, np.random.Generator], Counter[str]]] = {
     "EPOS serial": fuzz_epos_serial,
     "slcan": fuzz_slcan,
     "AMT21": fuzz_amt21,
+    "DBC": fuzz_dbc,
 }
 
 
+def fuzz_drawn(name: str, count: int, seed: int, read: Callable[[Random], bool]) -> Counter[str]:
+    """Draw texts or logs, read and judge each."""
+    counts: Counter[str] = Counter()
+    for number in range(count):
+        try:
+            counts["read" if read(Random(seed << 32 | number)) else "refused"] += 1
+        except BaseException:
+            print(f"{name}: number {number}, seed {seed}", file=sys.stderr, flush=True)
+            raise
+        if (number + 1) % REPORT == 0:
+            print(f"{name}: {dict(counts)}", file=sys.stderr, flush=True)
+    return counts
+
+
+def fuzz_logs(name: str, count: int, seed: int, folder: Path) -> Counter[str]:
+    """Draw logs of a format; then open some of them damaged, a fifteenth as often."""
+    from tests.rig.formats.shapes import PROPERTIES
+
+    logs, holds = PROPERTIES[name]
+    kept: list[Path] = []
+
+    def read(random: Random) -> bool:
+        good = holds(logs(random), folder)
+        if good and len(kept) < KEPT:
+            place = folder / f"kept{len(kept)}"
+            place.mkdir()
+            kept.append(place)
+            for path in folder.glob("a.*"):
+                shutil.copy(path, place)
+        return good
+
+    counts = fuzz_drawn(name, count, seed, read)
+    rng = np.random.default_rng(seed)
+    whole = [path for place in kept for path in place.glob("a.*") if path.suffix != ".dbc"]
+    for number in range(count // 15):
+        source = whole[number % len(whole)]
+        path, dbc = source.with_name(f"damaged{source.suffix}"), source.with_name("a.dbc")
+        path.write_bytes(damaged(source.read_bytes() or b"\0", rng))
+        try:
+            table = open_table(
+                path, ReadSection(dbc=(str(dbc),)) if dbc.exists() else ReadSection()
+            )
+            for column in range(len(table.names)):
+                table.read([column])
+        except InputError:
+            counts["damaged, refused"] += 1
+        else:
+            counts["damaged, read"] += 1
+        path.unlink()
+    return counts
+
+
 def main() -> int:
-    """Fuzz every decoder and print the counts."""
+    """Fuzz what is named, or all, and print the counts."""
+    from tests.drivers import dbc_shapes, eds_shapes, map_shapes
+    from tests.rig.formats.shapes import PROPERTIES
+
+    texts = {**eds_shapes.TEXTS, **dbc_shapes.TEXTS, **map_shapes.TEXTS}
+    names = [*DECODERS, "recordings", *texts, *PROPERTIES]
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=1_000_000, help="frames per decoder")
+    parser.add_argument("names", nargs="*", default=names, metavar="NAME", help=", ".join(names))
+    parser.add_argument(
+        "--count", type=int, default=1_000_000, help="frames or bytes; of all texts"
+    )
+    parser.add_argument("--logs", type=int, default=150_000, help="of each format")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    seed, rng = options.seed, np.random.default_rng(options.seed)
     logging.disable()
-    for name, decode in DECODERS.items():
-        _report(name, decode, options.count, options.seed)
-    with tempfile.TemporaryDirectory() as folder:
-        _report(
-            "recordings",
-            lambda n, rng: fuzz_recording(n, rng, Path(folder)),
-            options.count,
-            options.seed,
-        )
+    # A refused file makes its reader collect garbage, which passes over all that is imported.
+    gc.freeze()
+    for name in options.names:
+        began = time.monotonic()
+        with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as place:
+            folder = Path(place)
+            if name in DECODERS:
+                counts = DECODERS[name](options.count, rng)
+            elif name == "recordings":
+                counts = fuzz_recording(options.count, rng, folder)
+            elif name in texts:
+                path, read = folder / f"text.{name[:3].lower()}", texts[name]
+                share = options.count // len(texts)
+                counts = fuzz_drawn(name, share, seed, lambda random: read(random, path))  # noqa: B023
+            else:
+                counts = fuzz_logs(name, options.logs, seed, folder)
+        print(f"{name}: {dict(counts)}, {time.monotonic() - began:.0f} s", flush=True)
     return 0
-
-
-def _report(
-    name: str, decode: Callable[[int, np.random.Generator], Counter[str]], count: int, seed: int
-) -> None:
-    began = time.monotonic()
-    counts = decode(count, np.random.default_rng(seed))
-    print(f"{name}: {dict(counts)}, {time.monotonic() - began:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -59,9 +59,7 @@ class Trial:
 
 
 def trials(count: int, removed: bool) -> Iterator[Trial]:
-    """Simulate stages; with ``removed``, 15 to 100 % of the mass is taken off at 30 to 70 % of the
-    time.
-    """
+    """Simulate stages."""
     rng = np.random.default_rng([7, removed])
     soft_loops = load_bench("practical_soft").value.mock.loops  # type: ignore[union-attr]
     for number in range(count):

@@ -11,10 +11,7 @@ drives speak that protocol.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import math
 import re
 import sys
 import tempfile
@@ -25,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 from drivers.mock.makes import MAKES, description
-from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
 from rig.config.configuration import names, resolve
@@ -33,6 +29,7 @@ from rig.control.cycle import Cycle
 from rig.runs.recorded_inputs import true_parameters
 
 from . import fault_matrix
+from .console import rig
 from .fault_cases import PHASES, STATES, Transport
 from .fault_cases_homing import BUS_ONLY, HOST, HomingCase
 from .fault_cases_homing import CASES as HOMING
@@ -41,8 +38,6 @@ from .fault_cases_makes import MODES, cases
 
 BASELINES = ("practical", "practical_serial")
 """The simulated drive on CAN and on a serial line, which the others are held against."""
-SLOW = "CAN at 500 Hz"
-"""The simulated drive on CAN at the cycle of the serial line, which separates line and cycle."""
 OWN_FRAMES = ("odrive_can", "mit_mini")
 """Packaged benches of drives with frames of their own."""
 SERIAL = ("EPOS4:serial", "Elmo:serial", "Trinamic:serial")
@@ -78,28 +73,6 @@ def write_bench(folder: Path, make: str, packaged: str = "practical") -> Path:
     return path
 
 
-def write_slow_bench(folder: Path) -> Path:
-    """Write the bench of the simulated drive at half the cycles; returns the bench file."""
-    folder.mkdir(parents=True, exist_ok=True)
-    text = resolve(BASELINES[0], "benches").read_text()
-    for old, new in (("cycle_Hz: 1000", "cycle_Hz: 500"), ("cycle_s: 0.001", "cycle_s: 0.002")):
-        assert old in text, old
-        text = text.replace(old, new)
-    path = folder / "bench.yaml"
-    path.write_text(text)
-    return path
-
-
-def rig(*words: str) -> str:
-    """Run a command; returns what it says, and ends the program where it fails."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = status(list(words))
-    if code:
-        raise SystemExit(f"rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
-    return said.getvalue()
-
-
 def identified(bench: str, folder: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
     """Run Figure 10 and identify; returns the parameters, and what was said to be unwatched."""
     run, result = folder / "run", folder / "result.json"
@@ -117,49 +90,41 @@ def figure10(makes: list[str]) -> int:
     found: dict[str, Mapping[str, dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        for label in (*BASELINES, SLOW, *makes):
+        for label in (*BASELINES, *makes):
             began = time.monotonic()
             make, _, serial = label.partition(":")
             bench = label
-            if label == SLOW:
-                bench = str(write_slow_bench(folder / "slow"))
-            elif label not in names("benches"):
+            if label not in names("benches"):
                 packaged = BASELINES[1 if serial else 0]
                 bench = str(write_bench(folder / label, make, packaged))
             found[label], unwatched = identified(bench, folder / label)
             what = "; ".join(
                 line.partition("not monitored: ")[2].partition(";")[0] for line in unwatched
             )
+            held = sum(_held(found[label][name], true) for name, true in truth.items())
             print(
-                f"{label}: {time.monotonic() - began:.0f} s; {_held(found[label], truth)} of "
-                f"{len(truth)} constants in their intervals; not monitored: {what or 'nothing'}",
+                f"{label}: {time.monotonic() - began:.0f} s; {held} of {len(truth)} constants in "
+                f"their intervals; not monitored: {what or 'nothing'}",
                 flush=True,
             )
     return report(found, truth)
 
 
-def _held(parameters: Mapping[str, dict[str, Any]], truth: Mapping[str, float]) -> int:
-    """Return how many intervals hold the truth."""
-    return sum(
-        parameters[name]["value"] is not None
-        and parameters[name]["low"] <= true <= parameters[name]["high"]
-        for name, true in truth.items()
-    )
+def _held(item: Mapping[str, Any], true: float) -> bool:
+    return item["value"] is not None and item["low"] <= true <= item["high"]
 
 
 def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str, float]) -> int:
-    """Print the parameters of each make; 1 where too many intervals miss those of the simulated
-    drive on the same kind of line.
-    """
+    """Print the parameters of each make."""
     rows, missed, apart, pairs = [], 0, 0, 0
     for parameter, true in truth.items():
         row = [parameter, number(true)]
         for label, parameters in found.items():
             item = parameters[parameter]
             mine = found[BASELINES[":" in label]][parameter]
-            held = item["value"] is not None and item["low"] <= true <= item["high"]
+            held = _held(item, true)
             missed += not held
-            if label not in (*BASELINES, SLOW):
+            if label not in BASELINES:
                 pairs += 1
                 apart += _disjoint(item, mine)
             row.append(f"{number(item['value'])}{'' if held else ' *'}")
@@ -168,16 +133,6 @@ def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str
     cells = len(rows) * len(found)
     print(f"* truth outside the 90 % interval: {missed} of {cells}")
     print(f"intervals apart from those of the simulated drive: {apart} of {pairs}")
-    for name, base in (("on CAN", BASELINES[0]), ("on CAN at 500 Hz", SLOW)):
-        print(
-            f"difference from the simulated drive {name}, over the root of the sum of the squared "
-            "standard errors:"
-        )
-        others = [label for label in found if label != base]
-        cells_of = [[n, *(_apart(found[o][n], found[base][n]) for o in others)] for n in truth]
-        print(table(["parameter", *others], cells_of, right=range(1, 1 + len(others))))
-        missed_by = [sum(_disjoint(found[o][n], found[base][n]) for n in truth) for o in others]
-        print(f"intervals that do not overlap: {', '.join(map(str, missed_by))} of {len(truth)}")
     return 1 if apart > 0.05 * pairs else 0
 
 
@@ -186,16 +141,6 @@ def _disjoint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     if one["value"] is None or other["value"] is None:
         return True
     return one["low"] > other["high"] or other["low"] > one["high"]
-
-
-def _apart(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
-    """Return the difference of two values over the root of the sum of their squared standard
-    errors; of a 90 % interval, the half width is 1.645 standard errors.
-    """
-    if one["value"] is None or other["value"] is None:
-        return "-"
-    errors = [(item["high"] - item["low"]) / 2.0 / 1.645 for item in (one, other)]
-    return f"{(one['value'] - other['value']) / math.hypot(*errors):.1f}"
 
 
 def faults(makes: list[str], some: bool) -> int:

@@ -1,21 +1,23 @@
-"""A run on the serial bench is suspended, sent Ctrl-Z, loses its terminal's reader, its adapter or
-its guardian, or is suspended together with its guardian, at random moments.
+"""A run is killed, suspended, sent Ctrl-Z, loses its terminal's reader, its adapter or its
+guardian, or is suspended together with its guardian, at random moments.
 
-`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watchdog, so that
-power must be gone within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at
-once; SIGTSTP ends the run as Ctrl-C does. A terminal that is stalled (Ctrl-S, or one that nobody
-reads and that is full) changes nothing: the run is done, the drive is never under power without
-being spoken to for longer than that, and off within that time of the end of motion.
+`python -m tests.long.moments [--moments N] [--jobs N] [--kinds KIND,...]`. The drive of the serial
+bench has no watchdog, so that power must be gone within 0.5 s of the moment from which the control
+loop cannot run: SIGSTOP at once; SIGTSTP ends the run as Ctrl-C does. A terminal that is stalled
+(Ctrl-S, or one that nobody reads and that is full) changes nothing: the run is done, the drive is
+never under power without being spoken to for longer than that, and off within that time of the end
+of motion. An adapter that is out for 2 s must leave the drive off 1 s after it is back, by the
+guardian, and a guardian that is suspended within 0.65 s, by the run. Where both are suspended
+nobody is left: the operator uses `rig off` 1 s later, which has 4 s.
 
-An adapter that is out for 2 s must leave the drive off 1 s after it is back, by the guardian, and a
-guardian that is suspended within 0.65 s, by the run. Where both are suspended nobody is left: the
-operator uses `rig off` 1 s later, which has 4 s.
+A run that is killed must leave the drive off, by the guardian of the serial bench and by the
+watchdog of the drive over slcan, and a recording that ends no more than 0.2 s earlier. Over slcan
+every third one is resumed: it must begin at the first unfinished stage and end with all done.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import queue
 import random
@@ -25,45 +27,55 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
 from drivers.clock import NS
+from rig.common.errors import InputError
+from rig.runs.mcap.reader import read_run
+from rig.runs.recover import recover
+from rig.runs.run_file import read_record
 from rig.wiring.guardian import REPORT_FILE
 
 from .benches import Account, Bench, bench_process
-from .console import START_KEY, STOP_KEY, Console, rig_off
-from .process_cases import ANSWER_S, BACK_S, LEFT_S, OUT_S, RIG_OFF_S
+from .console import RIG, START_KEY, STOP_KEY, Console, rig_off
+from .process_cases import ANSWER_S, BACK_S, GUARD_S, LEFT_S, LOG_GAP_S, OUT_S, RIG_OFF_S
+from .process_checks import BUSY, MissedError, recorded_until_ns, verified
 
 OFF_S = 0.5
-LATEST_S = 1.9
-"""From the enabling of the drive; the run takes about as long."""
+LATEST_S, LATEST_OF_TWO_S = 1.9, 3.8
+"""From the enabling of the drive; a run of one stage, and one of two, take about as long."""
 EARLY_SHARE, EARLY_S = 0.15, 1.0
 """Share of the moments that come so long after its preparation began instead, most of them before
 it has power.
 """
-SEQUENCE = """\
-sequence: 1
-name: moments
-stages:
-  - {name: one, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 1.0,
+_STAGE = """\
+  - {name: %s, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 1.0,
      center_deg: 6, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.1}
 """
+SEQUENCE = "sequence: 1\nname: moments\nstages:\n" + _STAGE % "one"
 ADAPTER, GUARDIAN, BOTH = "adapter out 2 s", "guardian stopped", "both stopped"
-KINDS = ("SIGSTOP", "SIGTSTP", "Ctrl-S", "terminal full", ADAPTER, GUARDIAN, BOTH)
+KILLED, KILLED_CAN = "killed", "killed on CAN"
 SILENCES = ("Ctrl-S", "terminal full")
-LIMIT_S = {ADAPTER: OUT_S + BACK_S, GUARDIAN: ANSWER_S, BOTH: LEFT_S + RIG_OFF_S}
-"""From what happened to off; :data:`OFF_S` for every other kind."""
+KINDS = (KILLED, KILLED_CAN, "SIGSTOP", "SIGTSTP", *SILENCES, ADAPTER, GUARDIAN, BOTH)
+LIMIT_S = {
+    KILLED: GUARD_S,
+    KILLED_CAN: 0.2,
+    ADAPTER: OUT_S + BACK_S,
+    GUARDIAN: ANSWER_S,
+    BOTH: LEFT_S + RIG_OFF_S,
+}
+"""From what happened to off; :data:`OFF_S` for every other kind. The drive's heartbeat watch on CAN
+is 0.1 s, a heartbeat up to 25 ms old, the ramp 30 ms and settling 20 ms.
+"""
 _START_S = 60.0
 _END_S = 15.0
 _WATCHED_S = 1.0
 _FAILURES = 12
-
-
-class MissedError(Exception):
-    """The run was over, or failed by itself, before the moment came."""
+_RESUME_EVERY, _ATTEMPTS = 3, 8
 
 
 @dataclass(frozen=True)
@@ -89,26 +101,14 @@ class Moment:
 
 
 def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tuple[Moment, bool]:
-    """Run, and let it happen at a moment after the beginning of a phase.
-
-    Returns what came of it, and whether the computer was too busy for that to count.
-
-    Raises:
-        MissedError: It did not come to it.
-    """
+    """Run, and let it happen at a moment after the beginning of a phase."""
     bench.renew()
-    file = bench.write_file(folder)
-    (folder / "sequence.yaml").write_text(SEQUENCE)
-    words = [
-        "run",
-        "sequence.yaml",
-        "--bench",
-        str(file),
-        "--yes",
-        "--no-first-pass",
-        "--out",
-        "run",
-    ]
+    fast = {"cycle_Hz": 250, "sample_age_ms": 90} if kind == KILLED_CAN else {}
+    file = bench.write_file(folder, **fast)
+    stages = SEQUENCE + (_STAGE % "two" if kind == KILLED_CAN else "")
+    (folder / "sequence.yaml").write_text(stages)
+    words = ["run", "sequence.yaml", "--bench", str(file), "--yes", "--no-first-pass"]
+    words += ["--out", "run"]
     console = Console(words, folder, bench.env)
     try:
         console.until(lambda: console.at("one", base) or console.ended, _START_S)
@@ -150,6 +150,8 @@ def _happen(bench: Bench, console: Console, kind: str) -> int:
         for pid in guardians:
             os.kill(pid, signal.SIGSTOP)
         return ns if kind == GUARDIAN else console.signal(signal.SIGSTOP)
+    if kind in (KILLED, KILLED_CAN):
+        return console.signal(signal.SIGKILL)
     if kind in ("SIGSTOP", "SIGTSTP"):
         return console.signal(getattr(signal, kind))
     if kind == "Ctrl-S":
@@ -162,10 +164,10 @@ def _happen(bench: Bench, console: Console, kind: str) -> int:
 def _see(
     bench: Bench, console: Console, kind: str, ns: int, file: Path
 ) -> tuple[Account, list[str]]:
-    """Wait for what must come; returns what the bench has seen by then, and what is not as it must
-    be.
-    """
+    """Wait for what must come."""
     problems: list[str] = []
+    if kind in (KILLED, KILLED_CAN):
+        return _killed(bench, console, kind, ns, file.parent / "run")
     if kind in (ADAPTER, GUARDIAN, BOTH):
         return _left_to_others(bench, console, kind, ns, file)
     if kind == "SIGSTOP":
@@ -209,17 +211,78 @@ def _left_to_others(
         problems.append("the run did not end")
     report = file.parent / "run" / REPORT_FILE
     if kind == ADAPTER and powered:
-        console.until(lambda: _verified(report), _WATCHED_S)
-        if not _verified(report) and bench.account().off_after_s(ns) not in (None, 0.0):
+        console.until(lambda: verified(report), _WATCHED_S)
+        if not verified(report) and bench.account().off_after_s(ns) not in (None, 0.0):
             problems.append("the guardian has not written that it took the power off")
     return bench.account(), problems
 
 
-def _verified(report: Path) -> bool:
+def _killed(
+    bench: Bench, console: Console, kind: str, ns: int, run: Path
+) -> tuple[Account, list[str]]:
+    """See what comes of a killed run: the drive, the guardian's report, the recording; resume."""
+    console.pause(1.5 if kind == KILLED else 0.5)
+    account = bench.account()
+    problems = []
+    if abs(account.speed) > 1e-3:
+        problems.append(f"the joint turns at {account.speed:.3g} rad/s")
+    if kind == KILLED and account.on_at(ns) and not verified(run / REPORT_FILE):
+        problems.append("the guardian has not written that it took the power off")
+    lost_s = _lost_s(run, [when for when in account.heard_ns if when <= ns])
+    if lost_s > LOG_GAP_S:
+        problems.append(f"the recording ends {lost_s:.3f} s early")
+    if kind == KILLED_CAN and int(run.parent.name) % _RESUME_EVERY == 0:
+        problems += _resumed(bench, run)
+    return account, problems
+
+
+def _lost_s(run: Path, cycles_ns: list[int]) -> float:
+    """Recover the recording."""
     try:
-        return json.loads(report.read_text())["safe"]["verified"] is True
-    except (OSError, ValueError):
-        return False
+        recover(run)
+    except InputError:
+        return 0.0
+    if not cycles_ns:
+        return 0.0
+    end_ns = recorded_until_ns(read_run(run / "recording.mcap")) or cycles_ns[0]
+    unrecorded = [end_ns, *(when for when in cycles_ns if when > end_ns)]
+    pause_ns = max((later - earlier for earlier, later in pairwise(unrecorded)), default=0)
+    return (cycles_ns[-1] - end_ns - pause_ns) / NS
+
+
+def _resume(bench: Bench, run: Path, more: list[str]) -> tuple[int | None, str]:
+    words = ["resume", str(run), "--yes", "--no-first-pass", *more]
+    console = Console(words, run.parent, bench.env, program=RIG)
+    try:
+        console.until(lambda: console.ended, _START_S)
+        return console.status, console.text()
+    finally:
+        console.close()
+
+
+def _resumed(bench: Bench, run: Path) -> list[str]:
+    """Go on with a killed run on the bench as it was left."""
+    said = ""
+    for attempt in range(_ATTEMPTS):
+        try:
+            before = read_record(run)
+        except InputError:
+            return []
+        wanted = [stage.name for stage in before.stages if stage.state != "done"]
+        if not wanted:
+            return []
+        status, said = _resume(bench, run, ["--reset-fault"] * (attempt > 0))
+        after = read_record(run)
+        again = [
+            after.stages[s.stage_index].name for s in after.segments if s.part == len(after.parts)
+        ]
+        if again != wanted[: len(again)]:
+            return [f"resumed, it did {again} instead of {wanted}"]
+        if status == 0 and again == wanted:
+            return []
+        if not BUSY.search(said):
+            break
+    return [f"resumed, it was not finished: {said[-300:].strip()}"]
 
 
 def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]:
@@ -230,7 +293,7 @@ def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]
         "SIGTSTP": (3,),
         ADAPTER: (0, 4),
         GUARDIAN: (0, 4),
-        BOTH: (-9,),
+        **dict.fromkeys((BOTH, KILLED, KILLED_CAN), (-9,)),
     }.get(kind, (0,))
     over = any(
         notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices
@@ -287,13 +350,15 @@ def draw(dice: random.Random, kind: str) -> Plan:
     """
     if dice.random() < EARLY_SHARE:
         return kind, "prepare", dice.uniform(0.0, EARLY_S)
-    return kind, "enable", dice.uniform(0.0, LATEST_S)
+    latest_s = LATEST_OF_TWO_S if kind == KILLED_CAN else LATEST_S
+    return kind, "enable", dice.uniform(0.0, latest_s)
 
 
 def worker(number: int, todo: queue.Queue[Plan], tally: Tally) -> None:
     """Do moments on a bench of one's own until none is left."""
     dice = random.Random(number)
-    with tempfile.TemporaryDirectory() as name, bench_process("serial") as bench:
+    benches: dict[str, Bench] = {}
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         count = 0
         while True:
             try:
@@ -305,6 +370,10 @@ def worker(number: int, todo: queue.Queue[Plan], tally: Tally) -> None:
                 folder.mkdir()
                 count += 1
                 try:
+                    transport = "slcan" if plan[0] == KILLED_CAN else "serial"
+                    if transport not in benches:
+                        benches[transport] = stack.enter_context(bench_process(transport))
+                    bench = benches[transport]
                     moment, busy = once(bench, folder, *plan)
                 except MissedError:
                     tally.missed += 1

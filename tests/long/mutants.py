@@ -123,7 +123,7 @@ def told(name: str, verdict: Verdict, whole: bool) -> int:
     if verdict.trouble:
         print(f"{name}: {verdict.trouble}")
         return 1
-    living = {words for _, words, _ in verdict.living}
+    living = {words for _, words in verdict.living}
     argued = {words for module, words in ARGUED if module == name}
     unargued = [mutant for mutant in verdict.living if mutant[1] not in argued]
     print(
@@ -132,8 +132,8 @@ def told(name: str, verdict: Verdict, whole: bool) -> int:
         f"{len(living & argued)} argued, {len(unargued)} alive; {verdict.seconds:.0f} s",
         flush=True,
     )
-    for line, words, reached in unargued:
-        print(f"  line {line}: {words}{'' if reached else '  [no test reaches it]'}")
+    for line, words in unargued:
+        print(f"  line {line}: {words}")
     dead = sorted(argued - living) if whole else []
     for words in dead:
         print(f"  argued, and not alive: {words}")

@@ -8,8 +8,7 @@ import ast
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 Change = tuple[str, Callable[[], None]]
 """What becomes of a node, in words (empty: its new text), and the action that does it in place."""
@@ -43,35 +42,27 @@ _TRANSPARENT = frozenset({"abs", "int", "round", "float", "bool"})
 """Functions of which a call may be replaced by its argument."""
 
 
-@dataclass(frozen=True)
-class Mutant:
+class Mutant(NamedTuple):
     """One change.
 
     Attributes:
-        function: The outermost function it is in: qualified name and first line; None outside of
-            functions.
         first: First line of its statement.
-        last: Last line of its statement, without that of statements inside.
         words: Where and what, unique in its module.
         place: Number of the node in :func:`_walk`.
         number: Number of the change of that node.
     """
 
-    function: tuple[str, int] | None
     first: int
-    last: int
     words: str
     place: int
     number: int
 
 
-@dataclass(frozen=True)
-class _Spot:
-    """Where a node is: as of :class:`Mutant`; ``name`` is of the innermost function or class."""
+class _Spot(NamedTuple):
+    """Whether a node is in a function, first line of its statement, innermost function or class."""
 
-    function: tuple[str, int] | None = None
+    inside: bool = False
     first: int = 0
-    last: int = 0
     name: str = ""
 
 
@@ -89,7 +80,7 @@ def mutants(source: str) -> list[Mutant]:
             seen[told] += 1
             if seen[told] > 1:
                 told += f" ({seen[told]})"
-            found.append(Mutant(spot.function, spot.first, spot.last, told, place, number))
+            found.append(Mutant(spot.first, told, place, number))
     return found
 
 
@@ -110,23 +101,19 @@ def _walk(tree: ast.Module) -> Iterator[tuple[ast.AST, _Spot]]:
 
 
 def _inside(node: ast.AST, spot: _Spot) -> Iterator[tuple[ast.AST, _Spot]]:
-    if _untouched(node) or (spot.function is None and isinstance(node, ast.Subscript)):
+    if _untouched(node) or (not spot.inside and isinstance(node, ast.Subscript)):
         return
     if isinstance(node, ast.stmt | ast.ExceptHandler):
         name = spot.name
-        if spot.function is None and isinstance(node, ast.Assign | ast.AnnAssign):
+        if not spot.inside and isinstance(node, ast.Assign | ast.AnnAssign):
             target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
             name = f"{name}.{_text(target)}" if name else _text(target)
-        spot = _Spot(spot.function, *_lines(node), name)
+        spot = _Spot(spot.inside, node.lineno, name)
     yield node, spot
     within = spot
     if isinstance(node, Statements):
         name = f"{spot.name}.{node.name}" if spot.name else node.name
-        first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
-        function = spot.function
-        if function is None and not isinstance(node, ast.ClassDef):
-            function = name, first
-        within = _Spot(function, spot.first, spot.last, name)
+        within = _Spot(spot.inside or not isinstance(node, ast.ClassDef), spot.first, name)
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "type_params"):
             continue
@@ -154,14 +141,6 @@ def _untouched(node: ast.AST) -> bool:
     )
 
 
-def _lines(node: ast.stmt | ast.ExceptHandler) -> tuple[int, int]:
-    last = node.end_lineno or node.lineno
-    body = getattr(node, "body", None)
-    if isinstance(body, list) and body:
-        last = max(node.lineno, body[0].lineno - 1)
-    return node.lineno, last
-
-
 def _text(node: ast.AST) -> str:
     if isinstance(node, Statements):
         return node.name
@@ -182,7 +161,7 @@ def _changes(node: ast.AST, spot: _Spot) -> list[Change]:
         *_of_conditions(node),
         *_of_blocks(node),
     ]
-    if spot.function is not None:
+    if spot.inside:
         # A statement of a class or of the module can't be dropped without an error that says
         # nothing.
         changes += _of_statements(node)

@@ -120,12 +120,8 @@ DONE = Must((0,))
 MAY_GO_ON = Must((0, 4), None, verified=None)
 
 
-def _stopped(transport: str, phase: str) -> Must:
-    return Must((3,), STOP_S)
-
-
-def _quit(transport: str, phase: str) -> Must:
-    return Must((3,), NOW_S)
+STOPPED = Must((3,), STOP_S)
+LEFT_ALONE = Must((-9,), LEFT_S + RIG_OFF_S, told=False, record=("running",))
 
 
 def _killed(transport: str, phase: str) -> Must:
@@ -158,42 +154,16 @@ def _guardian_hangs(transport: str, phase: str) -> Must:
     return Must((4,), ANSWER_S, words="did not answer")
 
 
-def _left_alone(transport: str, phase: str) -> Must:
-    return Must((-9,), LEFT_S + RIG_OFF_S, told=False, record=("running",))
-
-
-def _slept(transport: str, phase: str) -> Must:
-    return Must((4,), STOP_S, words="the computer slept for 5.0 s")
-
-
-def _deleted(transport: str, phase: str) -> Must:
-    return Must((4,), GONE_S + STOP_S, words="was deleted during the run|no longer in")
-
-
-def _garbage(transport: str, phase: str) -> Must:
-    return Must((0, 4), LINE_S, verified=None)
-
-
-def _ridden(transport: str, phase: str) -> Must:
-    return DONE
-
-
-def _unheard(transport: str, phase: str) -> Must:
-    # A run that is done says so on its standard output.
-    return replace(DONE, told=False)
-
-
 def _stdin(transport: str, phase: str) -> Must:
     return Must((3,), STOP_S, words="prompt") if phase in ASKING else DONE
 
 
-def _disk(transport: str, phase: str) -> Must:
-    return Must(
-        (4,),
-        STORAGE_S,
-        words="storage error|cannot be written|No space left",
-        record=("failed", "running"),
-    )
+DISK_FULL = Must(
+    (4,),
+    STORAGE_S,
+    words="storage error|cannot be written|No space left",
+    record=("failed", "running"),
+)
 
 
 def _suspended(transport: str, phase: str) -> Must:
@@ -204,16 +174,12 @@ def _suspended(transport: str, phase: str) -> Must:
     return DONE if phase in ASKING else MAY_GO_ON
 
 
-def _hung_up(transport: str, phase: str) -> Must:
-    return Must((3,), STOP_S, told=False)
-
-
 @dataclass(frozen=True)
 class Column:
     """Something that happens.
 
     Attributes:
-        must: Transport and phase to what must come of it.
+        must: What must come of it, or transport and phase to that.
         words: What it is, in a sentence of the page.
         transports: Where it can happen.
         phases: When it is tried.
@@ -221,11 +187,15 @@ class Column:
             happened.
     """
 
-    must: Callable[[str, str], Must]
+    must: Must | Callable[[str, str], Must]
     words: str
     busy: bool = True
     transports: tuple[str, ...] = ("serial", "slcan", "dbc", "socketcand")
     phases: tuple[str, ...] = tuple(PHASES)
+
+    def required(self, transport: str, phase: str) -> Must:
+        """Return what must come of it on a transport in a phase."""
+        return self.must if isinstance(self.must, Must) else self.must(transport, phase)
 
 
 ALONE = ("both frozen", "both killed")
@@ -238,30 +208,35 @@ COLUMNS: Mapping[str, Column] = {
         busy=False,
     ),
     "line garbage": Column(
-        _garbage,
+        Must((0, 4), LINE_S, verified=None),
         "the drive's line delivers some 200 bytes of noise and of broken lines of the adapter's "
         "protocol",
         busy=False,
     ),
-    "second program": Column(_ridden, "a second program, `rig jog`, opens the same bench"),
-    "SIGHUP": Column(_stopped, "the process of the run gets SIGHUP"),
-    "SIGTERM": Column(_stopped, "the process of the run gets SIGTERM"),
-    "SIGTSTP": Column(_stopped, "the process of the run gets SIGTSTP, as by Ctrl-Z"),
-    "SIGQUIT": Column(_quit, "the process of the run gets SIGQUIT, as by Ctrl-backslash"),
+    "second program": Column(DONE, "a second program, `rig jog`, opens the same bench"),
+    "SIGHUP": Column(STOPPED, "the process of the run gets SIGHUP"),
+    "SIGTERM": Column(STOPPED, "the process of the run gets SIGTERM"),
+    "SIGTSTP": Column(STOPPED, "the process of the run gets SIGTSTP, as by Ctrl-Z"),
+    "SIGQUIT": Column(
+        Must((3,), NOW_S), "the process of the run gets SIGQUIT, as by Ctrl-backslash"
+    ),
     "SIGKILL": Column(_killed, "the process of the run gets SIGKILL"),
     "terminal stalled": Column(
-        _ridden,
+        DONE,
         "Ctrl-S stops the output of the terminal; Ctrl-Q releases it after the run, or after 1 s "
         "at a prompt",
     ),
     "terminal gone": Column(
-        _hung_up, "the terminal is hung up, as by an ssh connection that drops"
+        replace(STOPPED, told=False), "the terminal is hung up, as by an ssh connection that drops"
     ),
-    "stdout closed": Column(_unheard, "the pipe of the standard output loses its reader"),
+    # A run that is done says so on its standard output.
+    "stdout closed": Column(
+        replace(DONE, told=False), "the pipe of the standard output loses its reader"
+    ),
     "stdin closed": Column(_stdin, "the pipe of the standard input ends"),
-    "disk full": Column(_disk, "the file system of the run folder is full"),
+    "disk full": Column(DISK_FULL, "the file system of the run folder is full"),
     "HOME not writable": Column(
-        _ridden,
+        DONE,
         "HOME is no folder any more; in the column *prompt* it is none from the start, and the "
         "program's own folder cannot be written either",
     ),
@@ -283,26 +258,31 @@ COLUMNS: Mapping[str, Column] = {
         phases=CYCLING,
     ),
     "both frozen": Column(
-        _left_alone,
+        LEFT_ALONE,
         "guardian and run get SIGSTOP at once; 1 s later the operator uses `rig off`",
         busy=False,
         transports=("serial",),
         phases=CYCLING,
     ),
     "both killed": Column(
-        _left_alone,
+        LEFT_ALONE,
         "guardian and run get SIGKILL at once; 1 s later the operator uses `rig off`",
         busy=False,
         transports=("serial",),
         phases=CYCLING,
     ),
     "computer asleep": Column(
-        _slept,
+        Must((4,), STOP_S, words="the computer slept for 5.0 s"),
         "the clock since boot jumps by 5 s in the process of the run, and the monotonic clock does "
         "not, as after a sleep of the computer",
         phases=CYCLING,
     ),
-    "folder deleted": Column(_deleted, "the run folder is deleted", busy=False, phases=CYCLING),
+    "folder deleted": Column(
+        Must((4,), GONE_S + STOP_S, words="was deleted during the run|no longer in"),
+        "the run folder is deleted",
+        busy=False,
+        phases=CYCLING,
+    ),
 }
 
 START = "start"

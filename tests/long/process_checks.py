@@ -13,7 +13,7 @@ from typing import Any
 from drivers.clock import NS
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import CLOCK_METADATA, decode_frames
-from rig.runs.mcap.reader import read_run
+from rig.runs.mcap.reader import Log, read_run
 from rig.runs.recover import recover
 from rig.wiring.guardian import REPORT_FILE
 
@@ -73,6 +73,11 @@ class Scene:
         """The run folder."""
         return self.disk / "run"
 
+    @property
+    def report(self) -> Path:
+        """The guardian's."""
+        return self.run / REPORT_FILE
+
 
 def last_words(text: str) -> str:
     return " / ".join(line.strip() for line in text.splitlines() if line.strip())[-_SHOWN:]
@@ -108,7 +113,7 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
     off_s = account.off_after_s(ns)
     if off_s is None:
         yield "the drive is still energised"
-    elif scene.guarded and account.on_at(ns) and not reported(scene):
+    elif scene.guarded and account.on_at(ns) and not verified(scene.report):
         yield "the guardian has not written that it took the power off and read that back"
     elif must.off_s is not None and scene.console.status != 0 and off_s > must.off_s:
         yield f"off after {off_s:.3f} s, limit {must.off_s:g} s"
@@ -119,12 +124,19 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
             yield f"off {late_s} s after the last stage"
 
 
-def reported(scene: Scene) -> bool:
+def verified(report: Path) -> bool:
     """Whether the guardian has written that the drive is off."""
     try:
-        return json.loads((scene.run / REPORT_FILE).read_text())["safe"]["verified"] is True
+        return json.loads(report.read_text())["safe"]["verified"] is True
     except (OSError, ValueError):
         return False
+
+
+def recorded_until_ns(log: Log) -> int:
+    """Return when the last recorded frame was on the wire; 0 if there is none."""
+    frames = (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data))
+    last = max(frames, default=None)
+    return 0 if last is None else int(log.metadata[CLOCK_METADATA]["zero_ns"]) + last
 
 
 def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
@@ -173,9 +185,7 @@ def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[
     if not any(event["event"] == "prompt" for event in log.events):
         yield "the recording does not even hold the prompt"
     if scene.phase in CYCLING:
-        zero_ns = int(log.metadata[CLOCK_METADATA]["zero_ns"])
-        frames = (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data))
-        end = zero_ns + max(frames, default=0)
+        end = recorded_until_ns(log)
         last = max((heard for heard in account.heard_ns if heard <= ns), default=0)
         if (last - end) / NS > LOG_GAP_S:
             yield (

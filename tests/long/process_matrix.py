@@ -1,8 +1,8 @@
 """Failures of the process, adapter, terminal and disk of a run, in every phase on every transport,
 each compared with the required outcome.
 
-`python -m tests.long.process_matrix` runs all cells, the transports in parallel, and writes tables
-and messages to out/process_matrix.md. `--only WORDS`, names of columns, transports or phases
+`python -m tests.long.process_matrix` runs all cells, the transports in parallel, and writes the
+tables to out/process_matrix.md. `--only WORDS`, names of columns, transports or phases
 separated by commas, runs the cells that match all names and prints the result only.
 """
 
@@ -23,10 +23,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.clock import NS
-from rig.wiring.guardian import REPORT_FILE
 
 from .benches import TRANSPORTS, Account, Bench, bench_process
 from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams, rig_off, unwrapped
@@ -37,6 +37,7 @@ from .process_cases import (
     COLUMNS,
     CYCLING,
     LEFT_S,
+    LIMITS,
     OUT_S,
     PHASES,
     SECOND_STAGE,
@@ -46,9 +47,9 @@ from .process_cases import (
     SUSPENDED_S,
     Must,
 )
-from .process_checks import BUSY, VERDICT, MissedError, Scene, last_words, problems, reported
-from .process_page import Cell, Cells, said, tables, write
+from .process_checks import BUSY, MissedError, Scene, last_words, problems, verified
 
+PAGE = Path("out/process_matrix.md")
 PATIENCE_S = 15.0
 START_S = 40.0
 STALLED_S = 1.0
@@ -68,6 +69,25 @@ _stopping = threading.Event()
 _SIGNALS = {
     name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")
 }
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Outcome of one failure in one phase on one transport.
+
+    Attributes:
+        text: Entry of the table.
+        problems: Requirements that were not met.
+        busy: Number of repeats because the machine was too busy.
+    """
+
+    text: str
+    problems: tuple[str, ...]
+    busy: int = 0
+
+
+Cells = dict[tuple[str, str, str], Cell]
+"""Outcome by column, transport and phase."""
 
 
 def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Scene:
@@ -179,11 +199,7 @@ def befall(scene: Scene) -> int:
 
 
 def send(console: Console, number: signal.Signals, alone: bool = False) -> None:
-    """Send a signal to the guardian, and to its program unless it is alone.
-
-    Raises:
-        MissedError: There is no guardian.
-    """
+    """Send a signal to the guardian, and to its program unless it is alone."""
     guardians = console.guardians()
     if not guardians:
         raise MissedError("there is no guardian")
@@ -205,11 +221,7 @@ def switch_off(scene: Scene) -> None:
 
 
 def reach(scene: Scene) -> None:
-    """Wait until the phase is there.
-
-    Raises:
-        MissedError: It never was.
-    """
+    """Wait until the phase is there."""
     console, second = scene.console, scene.second
     if scene.phase == START:
         return
@@ -264,11 +276,10 @@ def aftermath(scene: Scene, ns: int) -> None:
     if not console.until(lambda: console.ended or (stands and console.stops), patience_s):
         scene.also.append(f"still running {patience_s:g} s later: {last_words(console.text(ns))}")
     if column == "SIGKILL":
-        report = scene.run / REPORT_FILE
-        console.until(report.exists, 1.5 if scene.bench.transport == "serial" else 0.5)
+        console.until(scene.report.exists, 1.5 if scene.bench.transport == "serial" else 0.5)
     if scene.guarded and column == "adapter out 2 s":
-        console.until(lambda: reported(scene) or not scene.bench.account().on, 2.0 * BACK_S)
-        console.until(lambda: reported(scene), 0.5)
+        console.until(lambda: verified(scene.report) or not scene.bench.account().on, 2.0 * BACK_S)
+        console.until(lambda: verified(scene.report), 0.5)
     console.pause(0.3)
 
 
@@ -296,25 +307,10 @@ def _state(file: Path) -> str:
         return ""
 
 
-def messages(scene: Scene, ns: int) -> tuple[str, ...]:
-    """Return the lines that tell of it: how it ended, why, and what to do."""
-    text = scene.console.text(ns) + ("" if scene.second is None else "\n" + scene.second.text())
-    kinds = r"(done|stopped|tripped|failed|[a-z ]*error|guardian|in use|held)\b.*:"
-    found = []
-    for line in re.split(r"[\r\n]+", text):
-        if re.match(kinds, line.strip()) or "in use" in line or re.search(VERDICT, line):
-            found.append(line.strip())
-    return tuple(dict.fromkeys(found))
-
-
 def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tuple[Cell, bool]:
-    """Do a cell; returns it, and whether the machine was too busy for it to count.
-
-    Raises:
-        MissedError: It did not come to it.
-    """
+    """Do a cell."""
     at_start = column in STARTS
-    must = STARTS[column][2] if at_start else COLUMNS[column].must(bench.transport, phase)
+    must = STARTS[column][2] if at_start else COLUMNS[column].required(bench.transport, phase)
     scene = started(column, phase, bench, folder, disk)
     try:
         reach(scene)
@@ -323,13 +319,9 @@ def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tup
         account = bench.account()
         _in_phase(scene, ns, account)
         found = tuple(problems(scene, must, ns, account))
-        text, said = scene.console.text(ns), messages(scene, ns)
-        busy = bool((at_start or COLUMNS[column].busy) and BUSY.search(text)) or any(
-            ns < when < ns + NS for when, _ in account.pauses
-        )
-        return Cell(
-            _cell_text(scene, must, ns, account, found), found, said, 0, account.off_after_s(ns)
-        ), busy
+        late = (at_start or COLUMNS[column].busy) and BUSY.search(scene.console.text(ns))
+        busy = bool(late) or any(ns < when < ns + NS for when, _ in account.pauses)
+        return Cell(_cell_text(scene, must, ns, account, found), found), busy
     finally:
         scene.console.close()
         if scene.second is not None:
@@ -337,11 +329,7 @@ def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tup
 
 
 def _in_phase(scene: Scene, ns: int, account: Account) -> None:
-    """Check that it happened where it should.
-
-    Raises:
-        MissedError: The phase was over.
-    """
+    """Check that it happened where it should."""
     if scene.phase == START:
         return
     before = [notice for notice in scene.console.notices if notice["ns"] <= ns]
@@ -381,7 +369,7 @@ def cell(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Cel
             made, busy = once(column, phase, bench, place, disk)
         except MissedError as error:
             made, busy = Cell("? !!", (str(error),)), True
-        made = Cell(made.text, made.problems, made.messages, attempt, made.seconds)
+        made = replace(made, busy=attempt)
         if not made.problems or not busy:
             break
     return made
@@ -439,13 +427,31 @@ def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
     return cells
 
 
+def tables(cells: Cells) -> list[str]:
+    """Return the tables of the page."""
+    lines: list[str] = []
+    rule = "|---" * (len(PHASES) + 1) + "|"
+    for transport in TRANSPORTS:
+        lines += [f"## {transport}", "", f"| | {' | '.join(PHASES)} |", rule]
+        for column in COLUMNS:
+            row = [cells.get((column, transport, phase), Cell("", ())).text for phase in PHASES]
+            if any(row):
+                lines.append(f"| {column} | {' | '.join(row)} |")
+        lines.append("")
+    lines += ["## From the start", "", f"| | {' | '.join(TRANSPORTS)} |"]
+    lines.append("|---" * (len(TRANSPORTS) + 1) + "|")
+    for start in STARTS:
+        row = [cells.get((start, transport, START), Cell("", ())).text for transport in TRANSPORTS]
+        lines.append(f"| `rig run ... {start}` | {' | '.join(row)} |")
+    return [*lines, ""]
+
+
 def main() -> int:
     """Do the cells; 1 where something is not as it must be."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--only", default="", help="words with commas between; several of one kind are alternatives"
     )
-    parser.add_argument("--json", type=Path, help="keep the cells here")
     options = parser.parse_args()
     words = [word.strip() for word in options.only.split(",") if word.strip()]
     names = [[*COLUMNS, *STARTS], [*TRANSPORTS], [*PHASES, START]]
@@ -464,21 +470,19 @@ def main() -> int:
             cells = {place: made for future in futures for place, made in future.result().items()}
         finally:
             _stopping.set()
-    lines = tables(cells)
-    bad = {place: made for place, made in cells.items() if made.problems}
+    bad = sum(bool(made.problems) for made in cells.values())
     again = sum(made.busy for made in cells.values())
+    lines = [
+        *tables(cells),
+        f"{len(cells)} cells in {(time.monotonic() - began) / 60:.1f} min; {bad} bad; {again} "
+        "repeats because the machine was too busy or the moment was missed",
+    ]
     print("\n".join(lines))
-    print(
-        f"{len(cells)} cells in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} bad; "
-        f"repeated because the "
-        f"machine was too busy or the moment was missed: {again}, in "
-        f"{sum(bool(made.busy) for made in cells.values())} cells"
-    )
-    if options.json:
-        rows = [{"cell": place, **vars(made)} for place, made in cells.items()]
-        options.json.write_text(json.dumps(rows, indent=1))
     if not words:
-        write(lines, said(cells), cells)
+        PAGE.parent.mkdir(exist_ok=True)
+        head = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()]
+        text = "\n".join([*head, "", f"**Limits.** {LIMITS}", "", *lines, ""])
+        PAGE.write_text(text, encoding="utf-8")
     return 1 if bad else 0
 
 

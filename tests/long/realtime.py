@@ -14,9 +14,8 @@ to do.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
+import os
 import re
 import subprocess
 import sys
@@ -25,7 +24,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.common.timing import summary
 from rig.config.bench import load_bench
@@ -34,24 +32,15 @@ from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run_file import read_record
 
 from .benches import Bench, bench_process
-from .kill import ended, start
+from .console import RIG, ROOT, rig
 
 PROMPT = re.compile(r"Mass on the lever[^:\n]*: $")
-
-
-def quietly(*words: str) -> None:
-    """Run a command; what it says is only shown where it fails."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        code = status(list(words))
-    if code:
-        raise SystemExit(f"rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
 
 
 def identified(run: Path) -> dict[str, dict[str, Any]]:
     """Identify a run."""
     result = run / "result.json"
-    quietly("identify", str(run), "--out", str(run / "identified"), "--json", str(result))
+    rig("identify", str(run), "--out", str(run / "identified"), "--json", str(result))
     parameters: dict[str, dict[str, Any]] = json.loads(result.read_text())["parameters"]
     return parameters
 
@@ -62,8 +51,16 @@ def in_real_time(folder: Path, cycle_Hz: int) -> Path:
         file = bench.write_file(folder, cycle_Hz=cycle_Hz, sample_age_ms=90)
         run = folder / "realtime"
         command = ["run", "figure10", "--bench", str(file), "--no-first-pass", "--out", str(run)]
-        controller = start(bench, command, folder, stdin=subprocess.PIPE)
-        bench.wait_for_host(lambda: ended(controller))
+        controller = subprocess.Popen(
+            [sys.executable, *RIG, *command],
+            env=os.environ | bench.env | {"PYTHONPATH": str(ROOT)},
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        bench.wait_for_host(controller.poll)
         began = time.monotonic()
         words = operate(controller, bench)
         print(f"status {controller.wait()} after {time.monotonic() - began:.1f} s of real time")
@@ -103,15 +100,8 @@ def main() -> int:
         real = in_real_time(folder, options.cycle)
         print(summary(read_record(real).parts[-1].timing))
         simulated = folder / "simulated"
-        quietly(
-            "run",
-            "figure10",
-            "--bench",
-            str(on_simulated_bus(folder, options.cycle)),
-            "--yes",
-            "--out",
-            str(simulated),
-        )
+        bench = str(on_simulated_bus(folder, options.cycle))
+        rig("run", "figure10", "--bench", bench, "--yes", "--out", str(simulated))
         a, b = identified(real), identified(simulated)
     rows, missed = [], 0
     for parameter, true in truth.items():

@@ -7,11 +7,8 @@ Run from the root of the repository; takes some minutes.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -19,10 +16,11 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.cli.entry import status
 from rig.common.tables import table
 from rig.control.operator import AutomaticOperator
 from rig.runs.run import read_record
+
+from .console import rig
 
 STAGE = """\
 sequence: 1
@@ -39,37 +37,12 @@ WANTED_REFUSED, WANTED_ACCEPTED = 0.95, 0.99
 LIGHTEST_KG, HEAVIEST_KG = 5.0, 40.0
 
 
-@contextlib.contextmanager
-def hanging(mass_kg: float) -> Iterator[None]:
-    """Let the automatic operator hang this mass, whatever was asked for."""
-    with mock.patch.object(AutomaticOperator, "hangs", return_value=mass_kg):
-        yield
-
-
-def quietly(*arguments: str) -> int:
-    """Run a command and keep what it says to itself."""
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        return status(list(arguments))
-
-
 def identification(folder: Path, bench: str) -> Path:
     """Identify the bench by the Figure 10 sequence; return the result file."""
     result = folder / "identification.json"
-    assert (
-        quietly(
-            "run",
-            "figure10",
-            "--bench",
-            bench,
-            "--yes",
-            "--seed",
-            "1000",
-            "--out",
-            str(folder / "first"),
-        )
-        == 0
-    )
-    assert quietly("identify", str(folder / "first"), "--json", str(result)) == 0
+    run = str(folder / "first")
+    rig("run", "figure10", "--bench", bench, "--yes", "--seed", "1000", "--out", run)
+    rig("identify", run, "--json", str(result))
     return result
 
 
@@ -79,11 +52,10 @@ def verdict(
     """Run one stage; return what its weight check found."""
     sequence, out = folder / "stage.yaml", folder / f"run{seed}"
     sequence.write_text(STAGE.format(mass=label_kg))
-    with hanging(hung_kg):
-        quietly(
-            *("run", str(sequence), "--bench", bench, "--yes", "--seed", str(seed)),
-            *("--identification", str(known), "--out", str(out)),
-        )
+    # The operator hangs this mass, whatever was asked for.
+    with mock.patch.object(AutomaticOperator, "hangs", return_value=hung_kg):
+        words = ["run", str(sequence), "--bench", bench, "--yes", "--seed", str(seed)]
+        rig(*words, "--identification", str(known), "--out", str(out), check=False)
     record = read_record(out)
     if record.weights:
         return dict(record.weights[0])
@@ -95,9 +67,7 @@ def verdict(
 
 
 def draw(kind: str, number: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Return label and hung mass of one stage, kg; every other wrong one is wrong by no more than
-    must be found.
-    """
+    """Return label and hung mass of one stage, kg."""
     label = round(float(rng.uniform(LIGHTEST_KG, HEAVIEST_KG)), 3)
     wrong_by = LEAST_ERROR if number % 2 else float(rng.uniform(LEAST_ERROR, GREATEST_ERROR))
     return label, label * (1.0 + SIGNS[kind] * wrong_by)

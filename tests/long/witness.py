@@ -104,9 +104,7 @@ WATCHED: Mapping[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    """Be `rig`; where asked to, only once the harness says so, with everything imported
-    beforehand.
-    """
+    """Be `rig`."""
     from rig.cli import entry as cli
 
     WATCHED.get(sys.argv[1], lambda: None)()

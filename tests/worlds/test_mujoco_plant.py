@@ -58,31 +58,6 @@ def test_stiction_is_sharp() -> None:
     assert crept < 2e-6
 
 
-def test_current_and_angle_have_the_same_stamps(plain: tuple[World, Signals]) -> None:
-    """A current that is late by one step of the loop is a time skew that nobody injected."""
-    world, signals = plain
-    step, moment = 1.0 / 4000.0, torque(world, signals)
-    w = (signals.angle[2:] - signals.angle[:-2]) / (2.0 * step)
-    acceleration = np.diff(signals.angle, 2) / step**2
-    change = (moment[2:] - moment[:-2]) / 2.0
-    c, moving = world.constants, np.abs(w) > 0.3
-    falls = np.sign(w) * np.exp(-((w / c.omega_sf) ** 2))
-    columns = np.column_stack((acceleration, w, np.sign(w), falls, change))
-    found = np.linalg.lstsq(columns[moving], moment[1:-1][moving], rcond=None)[0]
-    assert -found[4] == pytest.approx(0.0, abs=0.05), "steps that the current is late"
-
-
-def test_voltage_and_current_keep_to_ohms_law(plain: tuple[World, Signals]) -> None:
-    world, signals = plain
-    m = world.motor
-    slope = np.gradient(signals.current, 1.0 / 4000.0)
-    shaft = np.gradient(signals.motor_angle, 1.0 / 4000.0)
-    left = signals.voltage - m.resistance_ohm * signals.current - m.constant * shaft
-    left -= m.inductance_H * slope
-    smooth = np.convolve(left, np.ones(40) / 40.0, mode="same")[2000:-100]
-    assert np.sqrt(np.mean(smooth**2)) < 0.01 * np.abs(signals.voltage).max()
-
-
 def test_springs_stops_and_waves_are_the_catalogues(plain: tuple[World, Signals]) -> None:
     world, signals = plain
     inside = (np.abs(speed(signals)) > 0.3) & (np.arange(len(signals.angle)) > 4000)
@@ -107,13 +82,3 @@ def test_a_gap_is_as_wide_as_it_says() -> None:
     signals = played(world)
     twist = signals.motor_angle / world.motor.gear_ratio - signals.angle
     assert np.ptp(np.quantile(twist[4000:], (0.05, 0.95))) == pytest.approx(0.01, rel=0.05)
-
-
-def test_a_spring_between_motor_and_joint_twists_with_the_torque() -> None:
-    world = replace(world_of(sine()), effects={"compliance": {"stiffness_Nm_rad": 3000.0}})
-    signals = played(world)
-    twist = signals.motor_angle / world.motor.gear_ratio - signals.angle
-    forward = (speed(signals) > 0.4)[4000:]
-    share = world.motor.friction_share
-    passed = (1.0 - share) * torque(world, signals)[4000:][forward]
-    assert np.median(passed / twist[4000:][forward]) == pytest.approx(3000.0, rel=0.1)

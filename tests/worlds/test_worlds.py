@@ -25,14 +25,14 @@ from benchmarks.worlds.own_plant.plant import OwnPlant
 from benchmarks.worlds.seal import log_of, seal_worlds, strength_of
 from benchmarks.worlds.sizes import SIZES
 from benchmarks.worlds.torque import Course
-from benchmarks.worlds.world import COMMAND_S, LoopKind, Planned, Signals, World
+from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.cli.entry import status
 from rig.results.prove.engine import Processes
 from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.run import SUMS_FILE
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
-from tests.worlds.test_plants import ODE, carriage, drawn
+from tests.worlds.test_plants import ODE, carriage
 
 IN_CATALOGUE = [name for name in SIZES if not name.startswith("x_")]
 
@@ -96,20 +96,7 @@ def test_a_world_repeats_with_its_seed_and_effects_do_not_change_the_machine() -
     assert draw_world("nothing", (), (3, 2)).constants != plain.constants
 
 
-def test_names_come_in_turn_and_pairs_share_a_load() -> None:
-    drawn = worlds_assignment(100, 2, IN_CATALOGUE, ("x_bursts",))
-    kinds = [kind for kind, _ in drawn]
-    assert {k: kinds.count(k) for k in set(kinds)} == {
-        "one": 60, "nothing": 25, "two": 10, "outside": 5,
-    }  # fmt: skip
-    singles = {names[0] for kind, names in drawn if kind == "one"}
-    assert singles == set(IN_CATALOGUE)
-
-
 def test_a_machine_has_one_coupling() -> None:
-    """MuJoCo's model has one coupling of motor and joint, and the effects of the coupling replace
-    one another in it.
-    """
     coupling = {"backlash", "compliance", "coupling_hysteresis"}
     drawn = worlds_assignment(600, 5, sorted({*coupling, "cogging"}), ("x_bursts",))
     pairs = [set(names) for kind, names in drawn if kind == "two"]
@@ -121,7 +108,6 @@ def test_make_prove_covers_every_axis_once(monkeypatch: pytest.MonkeyPatch) -> N
     """The axes do not depend on the courses of the motions, which take most of the time."""
     makefile = (Path(__file__).parents[2] / "Makefile").read_text()
     found = re.search(r"PROVE_WORLDS := --plant mujoco --rigs (\d+) --seed (\d+)", makefile)
-    assert found is not None
     rigs, seed = int(found[1]), int(found[2])
     path = np.linspace(0.0, 0.1, 50)
     monkeypatch.setattr(drawing, "command", lambda *_: path)
@@ -262,15 +248,6 @@ def test_the_reference_has_the_noise_of_the_rig() -> None:
         assert np.array_equal(one["time"], other["time"])
 
 
-@pytest.mark.parametrize("kind", ["torque", "host"])
-def test_a_log_has_a_command_only_where_an_angle_is_sent(kind: LoopKind) -> None:
-    world = drawn(kind, "rotary")
-    zero = np.zeros(4 * world.drive.rate_Hz // world.log.rate_Hz)
-    signals = Signals(*(zero for _ in range(7)), 0.0)
-    logged = columns(world, 0, signals, np.random.default_rng(1))
-    assert ("command" in logged) is (kind == "host")
-
-
 def test_a_mass_that_is_lifted_is_a_load_of_the_campaign(tmp_path: Path) -> None:
     for load in ("carriage", "hoisted", "force"):
         world = carriage(load)
@@ -308,15 +285,6 @@ def test_every_effect_leaves_a_trace(name: str) -> None:
         assert list(strength) == [channel for channel in CHANNELS if channel in logged[0]]
         found.append(max(strength.values()))
     assert max(found) > 2.0
-
-
-def test_the_plant_has_the_whole_catalogue() -> None:
-    from identification.effects import MOTION
-
-    names = {e.name for e in MOTION}
-    assert set(PLANT.effects) == {n for n in SIZES if n in names} == names
-    assert PLANT.outside
-    assert not PLANT.outside & names
 
 
 PROOF = pytest.mark.proof

@@ -38,6 +38,7 @@ def bench() -> tuple[Context, Stack]:
 
 
 def test_the_gas_generator_has_effects_of_its_own() -> None:
+    assert len(EFFECTS) == len(MOTION) + len(GAS), "a name stands for two effects"
     assert {e.name for e in EFFECTS.values() if e.shows_in == "pressure"} == {e.name for e in GAS}
     for effect in GAS:
         assert [effect.linear, *effect.nonlinear] == [q.name for q in effect.parameters]

@@ -1,16 +1,30 @@
-"""How two fits are compared: by what they leave, and by their numbers of parameters."""
+"""How two fits are compared, what they cannot distinguish, and sizes that follow the machine."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from identification.diagnosis.comparison import advantage, preference, simplest
+from identification.diagnosis.comparison import (
+    Contender,
+    Round,
+    advantage,
+    implausible,
+    preference,
+    simplest,
+)
+from identification.diagnosis.held_out import with_indistinct_effects
 from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
+from identification.effects.effect import Context
+from identification.effects.motor import change_at_zero
+from identification.model.parameters import LINEAR
+from identification.views.view import View, at_scale
 
 from .benches import honest, nominal_fit
 
@@ -53,18 +67,110 @@ def test_a_parameter_more_must_explain_more_than_chance(gain: float, sure: bool)
     assert simplest([richer, simple], [3, 2]) == (0 if sure else 1)
 
 
-def test_a_simpler_fit_is_not_surer_than_what_it_leaves() -> None:
-    """The price of the other fit's parameter is no evidence against it."""
-    simple, richer = left(DEAD_TIME, 0.0), left(STOP, 5.0)
-    assert preference(simple, richer) == advantage(simple, richer)
+@pytest.mark.parametrize(
+    ("name", "kept", "alias"),
+    [
+        ("presliding", "motor_angle", ("compliance", "coupling_hysteresis")),
+        ("presliding", "angle", ()),
+        ("asymmetric_coulomb", "motor_angle", ()),
+    ],
+)
+def test_a_spring_in_the_friction_and_a_twisted_shaft_are_alike_to_the_motors_encoder(
+    name: str, kept: str, alias: tuple[str, ...]
+) -> None:
+    dropped = {"motor_angle", "angle"} - {kept}
+    recordings = [
+        replace(r, channels={k: v for k, v in r.channels.items() if k not in dropped})
+        for r in honest()
+    ]
+    joint = nominal_fit(recordings)
+    shape = (5e3,) if name == "presliding" else ()
+    final = replace(joint, effects=(Added(TERM[name], shape, (1.0,)),))
+    tested = Contender("stribeck_shape", joint, 4.0, "")
+    found = Search(joint, final, (Round(name, (tested,)),), 1e-3, 1.0, "", ())
+    (taken,) = with_indistinct_effects(found, ()).rounds
+    assert tuple(r.name for r in taken.rivals) == ("stribeck_shape", *alias)
+    assert all(r.preference == 0.0 for r in taken.rivals if r.name in alias)
 
 
-def test_the_best_of_three_fits_is_the_one_with_the_best_corrected_criterion() -> None:
-    """The worst of three is not taken because it has the fewest parameters and the best fit, to
-    which it is compared, has the most.
-    """
-    two = Added(TERM["cogging"], (7.0,), (1.0, 1.0))
-    most = replace(left(STOP, 0.0), effects=(STOP, DEAD_TIME))
-    middle = left(two, 1.9 * log_rows())
-    fewest = left(Added(TERM["asymmetric_coulomb"], (), (1.0,)), 8.0 * log_rows())
-    assert simplest([most, middle, fewest], [5, 3, 1]) == 1
+@pytest.mark.parametrize(("samples", "alike"), [(2.0, False), (0.5, True)])
+def test_a_brush_drop_within_one_sample_may_be_a_dead_time(samples: float, alike: bool) -> None:
+    """Reached over as much current as changes within this number of samples."""
+    joint = nominal_fit(honest())
+    views = joint.equations[0].views
+    greatest_A = float(np.max(np.abs(views[0].recording.channels["current"])))
+    shape = (samples * change_at_zero(views) / greatest_A, 0.0, greatest_A)
+    final = replace(joint, effects=(Added(TERM["brush_drop"], shape, (0.5,)),))
+    found = Search(joint, final, (Round("brush_drop", ()),), 1e-3, 1.0, "", ())
+    (taken,) = with_indistinct_effects(found, ()).rounds
+    assert [r.name for r in taken.rivals] == ["inverter_dead_time"] * alike
+
+
+def scaled(view: View, torque: float = 1.0, travel: float = 1.0, motion: str = "rotary") -> View:
+    bench = replace(view.recording.bench, motion=motion)
+    return replace(
+        view,
+        torque=torque * view.torque,
+        angle=travel * view.angle,
+        recording=replace(view.recording, bench=bench),
+    )
+
+
+@pytest.mark.parametrize(("torque", "travel"), [(0.05, 1.0), (1.0, 0.1), (0.02, 3.0)])
+def test_the_trial_stiffnesses_of_presliding_are_those_of_the_machine(
+    torque: float, travel: float
+) -> None:
+    """A small servo's contact is softer than any trial value of the valve's."""
+    joint = nominal_fit(honest())
+    whole = Context(joint.equations[0].views, joint.nominal)
+    small = replace(whole, views=tuple(scaled(v, torque, travel) for v in whole.views))
+    usual, own = (
+        np.array([s[0] for s in TERM["presliding"].shapes(context)]) for context in (whole, small)
+    )
+    assert own == pytest.approx(usual * torque / travel)
+
+
+def test_gaps_of_a_linear_axis_are_a_share_of_its_travel() -> None:
+    views = nominal_fit(honest()).equations[0].views
+    rotary = [scaled(v, travel=0.2) for v in views]
+    linear = [scaled(v, travel=0.2, motion=LINEAR) for v in views]
+    twice = [scaled(v, travel=0.4, motion=LINEAR) for v in views]
+    assert at_scale([1e-3], rotary) == [1e-3]
+    (short,), (long,) = at_scale([1e-3], linear), at_scale([1e-3], twice)
+    assert long == pytest.approx(2.0 * short)
+    assert 0.0 < short < 1e-3
+
+
+def reason(effect: Added, change: Callable[[View], View]) -> str:
+    """Return why an effect is implausible with changed recordings; empty if it is not."""
+    joint = nominal_fit(honest())
+    views = tuple(map(change, joint.views))
+    equations = tuple(replace(e, views=views) for e in joint.equations)
+    return implausible(replace(joint, effects=(effect,), equations=equations))
+
+
+def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> None:
+    """On a travel of a tenth, ten times the slope changes the friction by as much."""
+    effect = Added(TERM["load_position_dependence"], (), (4.0,))
+    wide = reason(effect, lambda v: v)
+    assert wide.startswith("slope_per_rad = 4, outside the plausible range")
+    assert reason(effect, lambda v: scaled(v, travel=0.1)) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "power"), [("asymmetric_viscous", 1), ("quadratic_drag", 2), ("asymmetric_coulomb", 0)]
+)
+@pytest.mark.parametrize(("share", "plausible"), [(0.4, True), (0.6, False)])
+def test_friction_of_half_the_greatest_torque_is_plausible(
+    name: str, power: int, share: float, plausible: bool
+) -> None:
+    views = nominal_fit(honest()).views
+    torque = max(float(np.max(np.abs(v.torque))) for v in views)
+    speed = max(float(np.max(np.abs(v.velocity))) for v in views)
+
+    def fast(view: View) -> View:
+        torques, speeds = 40.0 / torque * view.torque, 0.5 / speed * view.velocity
+        return replace(view, torque=torques, velocity=speeds)
+
+    effect = Added(TERM[name], (), (share * 40.0 / 0.5**power,))
+    assert (reason(effect, fast) == "") is plausible

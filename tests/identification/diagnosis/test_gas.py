@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.gas import GasNominal, burns, diagnose_gas, fit, noise
+from identification.diagnosis.gas import GasNominal, burns, diagnose_gas
 from identification.diagnosis.result import Verdict
 from identification.effects import GAS
 from identification.effects.effect import Context
@@ -85,7 +85,6 @@ def test_what_is_in_no_catalogue_gets_no_name(name: str) -> None:
     found = diagnose_gas(recordings({name: UNKNOWN[name]}))
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert not found.effects
-    assert found.curve is not None
     assert len(found.curve.grid) == len(found.curve.value)
     assert found.location is not None
 
@@ -129,32 +128,6 @@ def test_a_belief_that_is_far_off_is_told() -> None:
     assert any("pressure_zero by" in w for w in found.warnings)
 
 
-def test_rows_faster_than_the_gas_are_averaged() -> None:
-    slow = honest().recordings[0]
-    time = np.arange(0.0, 2.0, 0.001)
-    fast = {name: np.interp(time, slow.time, values) for name, values in slow.channels.items()}
-    (burn,) = burns([replace(slow, channels=fast)])
-    assert len(burn.time) == 400
-    assert burn.pressure == pytest.approx(fast["pressure"].reshape(400, 5).mean(axis=1))
-    assert burn.time[0] == pytest.approx(0.002)
-
-
-def test_a_fit_stands_where_its_tangent_says() -> None:
-    here = burns(honest().part("fit")[:2])
-    sigma = noise(here)
-    joint = fit(here, sigma, GasNominal.believed(here))
-    (equation,), rows = joint.equations, len(joint.residual)
-    values = {**joint.nominal.values, "n": joint.nominal.values["n"] + 3e-4}
-    moved = np.concatenate([replace(joint.nominal, values=values).signal(b) for b in here])
-    change = moved - np.concatenate([joint.nominal.signal(b) for b in here])
-    # The exponent is the second number of a fit, in units of 0.03.
-    slope = 0.01 * equation.tangent[: len(change), 1]
-    assert change == pytest.approx(slope, abs=0.02 * np.max(np.abs(change)))
-    gradient = equation.tangent.T @ joint.residual
-    assert rows == len(change) + 11
-    assert np.max(np.abs(gradient) / np.linalg.norm(equation.tangent, axis=0)) < 0.1
-
-
 @pytest.mark.parametrize("term", GAS, ids=lambda t: t.name)
 def test_the_response_times_the_size_is_what_an_effect_adds(term: GasGeneratorEffect) -> None:
     (burn,) = burns(honest().part("fit")[:1])
@@ -189,11 +162,6 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
 def test_recordings_that_cannot_be_used(channels: dict[str, np.ndarray | None], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
         diagnose_gas(infeasible(**channels))
-
-
-def test_no_recording_to_fit() -> None:
-    with pytest.raises(RecordingError, match="no recording has the role fit"):
-        diagnose_gas(Dataset(()))
 
 
 def test_a_bench_without_constants_or_a_short_burn() -> None:

@@ -1,18 +1,35 @@
-"""Which effects recordings can show, from which size on, and which they cannot distinguish."""
+"""What recordings can show, what the baselines see, and what is wrong in one recording."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose, observable_effects
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.observable import Observable
+from identification.diagnosis.oracle import (
+    FOLDS,
+    Group,
+    Library,
+    greedy_bic,
+    library,
+    oracle,
+    sparse,
+)
 from identification.diagnosis.result import Verdict
-from identification.recording import Bench, Dataset, Model, Recording
+from identification.diagnosis.significance import (
+    rests_under_torque,
+)
+from identification.effects import MOTION
+from identification.recording import Array, Bench, Dataset, Model, Recording
+from identification.views.view import View, views
 
-from .benches import campaign
+from .benches import campaign, nominal_fit
 
 TEETH = 18
 RATE_HZ = 500.0
@@ -20,7 +37,7 @@ RATE_HZ = 500.0
 
 @lru_cache
 def nothing_hidden() -> dict[str, Observable]:
-    found = observable_effects(Dataset(campaign({}, 3, 8.0), Model()))
+    found = observable_effects(Dataset(campaign({}, 3, 6.0), Model()))
     return {o.name: o for o in found}
 
 
@@ -46,19 +63,11 @@ def test_effects_of_one_regressor_are_alike_and_others_are_not() -> None:
     assert found["brush_drop"].alike.keys() >= {"inverter_dead_time"}
 
 
-def test_the_least_values_of_an_effect_belong_to_one_trial() -> None:
-    """The wrong mass is that of one label, not one in the middle of two labels."""
-    recordings = [r for r in campaign({}, 3, 8.0) if r.weight_mass in (0.0, 10.0, 30.6)]
-    found = {o.name: o for o in observable_effects(Dataset(tuple(recordings), Model()))}
-    mass = found["wrong_weight"].sizes["mass_kg"]
-    assert min(abs(mass / label - 1.0) for label in (10.0, 30.6)) < 0.01
-
-
 def test_an_effect_is_found_above_its_least_size_and_not_below() -> None:
     least = nothing_hidden()["gravity_imbalance"].sizes["torque_Nm"]
     for times, missing in ((0.1, False), (8.0, True)):
         hidden = {"gravity_imbalance": {"torque_Nm": times * least, "zero_rad": 0.0}}
-        found = diagnose(Dataset(campaign(hidden, 3, 8.0), Model()))
+        found = diagnose(Dataset(campaign(hidden, 3, 6.0), Model()))
         assert (found.verdict is not Verdict.NOTHING_MISSING) == missing
 
 
@@ -74,3 +83,114 @@ def test_a_turn_one_way_does_not_distinguish_cogging_from_ripple() -> None:
     assert {"cogging", "torque_ripple"} <= set(found.effects[0].alias_group)
     assert found.effects[0].confidence <= 0.5
     assert seen["backlash"].sizes == {}
+
+
+Method = Callable[[Library], tuple[str, ...]]
+ROWS = 4000
+VISCOUS = {"coefficient_Nms_rad": 0.4}
+
+
+@pytest.fixture(scope="module")
+def lopsided() -> tuple[Recording, ...]:
+    return campaign({"asymmetric_viscous": VISCOUS}, 2, 6.0)
+
+
+@pytest.fixture(scope="module")
+def first(lopsided: tuple[Recording, ...]) -> Joint:
+    return nominal_fit(lopsided)
+
+
+def made(coefficients: dict[str, float], seed: int = 4, positive: tuple[int, ...] = ()) -> Library:
+    """Return a library of ten white regressors, on white noise and these of them."""
+    rng = np.random.default_rng(seed)
+    names = [f"effect {k}" for k in range(10)]
+    columns = rng.standard_normal((ROWS, len(names))) / np.sqrt(ROWS)
+    residual = rng.standard_normal(ROWS) + columns @ [coefficients.get(n, 0.0) for n in names]
+    groups = tuple(Group(n, (), slice(k, k + 1), positive) for k, n in enumerate(names))
+    parts: list[tuple[Array, Array]] = list(
+        zip(np.split(columns, FOLDS), np.split(residual, FOLDS), strict=True)
+    )
+    return Library(
+        groups,
+        np.stack([x.T @ x for x, _ in parts]),
+        np.stack([x.T @ y for x, y in parts]),
+        np.array([y @ y for _, y in parts]),
+        ROWS,
+    )
+
+
+@pytest.mark.parametrize("method", [greedy_bic, sparse])
+def test_on_white_noise_they_name_what_is_there_and_nothing_else(method: Method) -> None:
+    assert method(made({})) == ()
+    assert method(made({"effect 3": 12.0, "effect 7": -30.0})) == ("effect 7", "effect 3")
+
+
+def test_on_a_rig_they_see_what_the_search_sees(first: Joint) -> None:
+    given = library(first, [e for e in MOTION if e.group in ("friction", "device")])
+    assert np.allclose(np.einsum("fpp->p", given.gram), 1.0)
+    assert greedy_bic(given)[0] == "asymmetric_viscous"
+    assert sparse(given)[0] == "asymmetric_viscous"
+
+
+def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: Joint) -> None:
+    found = oracle(Dataset(lopsided), first, ["asymmetric_viscous"], 25.0)
+    assert found.equation == "torque"
+    assert found.oracle_rms < 1.3 * found.noise_rms < 0.3 * found.baseline_rms
+    assert found.remaining_strength["asymmetric_viscous"] > 3.0
+    both = oracle(Dataset(lopsided), first, ["asymmetric_viscous", "torque_ripple"], 25.0)
+    assert both.remaining_strength["torque_ripple"] < 0.3  # which is not there
+    assert both.remaining_strength["asymmetric_viscous"] == pytest.approx(
+        found.remaining_strength["asymmetric_viscous"], rel=0.05
+    )
+    wrong = oracle(Dataset(lopsided), first, ["cogging"], 25.0)
+    assert wrong is None or wrong.baseline_rms - wrong.oracle_rms < 0.1 * (
+        found.baseline_rms - found.oracle_rms
+    )
+
+
+def test_without_recordings_set_aside_there_is_no_oracle(
+    lopsided: tuple[Recording, ...], first: Joint
+) -> None:
+    fitted = tuple(r for r in lopsided if r.role == "fit")
+    assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
+
+
+FROM_S, TO_S = 7.0, 9.0
+
+
+@pytest.fixture(scope="module")
+def recordings() -> tuple[Recording, ...]:
+    return campaign({"dwell_static_friction": {"growth_Nm": 3.0, "time_s": 1.0}}, 4)
+
+
+def held(recording: Recording, torque_Nm: float) -> Recording:
+    """Return a recording that stands for a while where it is, whatever the drive is asked for."""
+    time, channels = recording.time, dict(recording.channels)
+    where = (time >= FROM_S) & (time < TO_S)
+    first = int(np.argmax(where))
+    for name in ("angle", "motor_angle"):
+        channels[name] = np.where(where, channels[name][first], channels[name])
+    channels["current"] = np.where(where, torque_Nm / 3.0, channels["current"])
+    return replace(recording, channels=channels)
+
+
+def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
+    return views(recordings, 25.0)
+
+
+def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
+    recordings: tuple[Recording, ...],
+) -> None:
+    assert rests_under_torque(seen(recordings), "N m") == ()
+    (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
+    assert line.startswith(f"{recordings[0].name}: from 7.0")
+    assert "to 9.0" in line
+    assert "under a logged torque of 1.5e+02 N m" in line
+
+
+def test_what_friction_holds_is_not_told(recordings: tuple[Recording, ...]) -> None:
+    """Nor what the heaviest weight may hold, for which no other recording is a measure."""
+    assert rests_under_torque(seen((held(recordings[0], 8.0), *recordings[1:])), "N m") == ()
+    heaviest = max(range(len(recordings)), key=lambda k: recordings[k].contact_force)
+    changed = tuple(held(r, 150.0) if k == heaviest else r for k, r in enumerate(recordings))
+    assert rests_under_torque(seen(changed), "N m") == ()

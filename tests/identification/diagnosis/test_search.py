@@ -1,31 +1,34 @@
-"""The test by sign flips holds its level on noise that is correlated within blocks; how effects are
-added and kept.
-"""
+"""How effects are searched, added and kept; a gap and a loop are told apart by their crossing."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from identification.diagnosis.comparison import implausible
+from identification.diagnosis import diagnose as diagnosing
+from identification.diagnosis.comparison import Round
+from identification.diagnosis.crossing import crossing_torque, gap_or_loop
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.held_out import validation_rms
-from identification.diagnosis.joint import Added, fit, identifiable
+from identification.diagnosis.held_out import DROPPED
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.removal import needed_share
-from identification.diagnosis.result import Verdict
-from identification.diagnosis.significance import DRAWS, flipped_statistics, sign_flip_p_value
-from identification.diagnosis.stack import Candidate, log_surprise, wald_statistic
-from identification.diagnosis.within_limits import fit_from_estimate, views_and_fit
-from identification.effects import MOTION
-from identification.effects.effect import Context
-from identification.recording import Bench, Dataset, Model, Recording
-from identification.views.view import one_clock, views
+from identification.diagnosis.result import Step, Verdict
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.significance import flipped_statistics, sign_flip_p_value
+from identification.diagnosis.stack import Candidate, wald_statistic
+from identification.effects import EFFECTS, MOTION
+from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.views.nominal import Nominal
+from identification.views.view import View, one_clock, views
 
-from .benches import campaign, honest, nominal_fit
+from .benches import campaign, nominal_fit
 
 BLOCKS, ROWS, CANDIDATES, STUDIES = 40, 25, 20, 100
 
@@ -72,31 +75,6 @@ def test_flips_give_what_flipped_blocks_would(degrees: int, alike: float) -> Non
     assert flipped_statistics(candidate, flips) == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_flips_of_all_candidates_count_however_many_numbers_they_have() -> None:
-    rng = np.random.default_rng(11)
-    candidates = []
-    for degrees, size in ((1, 0.3), (2, 0.4), (1, 0.2), (2, 0.1)):
-        columns, residual = (
-            rng.standard_normal((BLOCKS, ROWS, degrees)),
-            rng.standard_normal((BLOCKS, ROWS)),
-        )
-        sums = np.einsum("bij,bi->bj", columns, residual + size * columns[:, :, 0])
-        weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
-        found = wald_statistic(sums.sum(axis=0), sums - weights @ sums.sum(axis=0))
-        candidates.append(
-            Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 0.02 * found, sums, weights, 1.0)
-        )
-    flips = np.random.default_rng(12).choice((-1.0, 1.0), size=(DRAWS, BLOCKS))
-    drawn = np.max(
-        [log_surprise(flipped_statistics(c, flips), c.blocks.shape[1]) for c in candidates], axis=0
-    )
-    beyond = int(np.sum(drawn >= max(c.surprise for c in candidates)))
-    assert 0 < beyond < DRAWS
-    assert sign_flip_p_value(candidates, BLOCKS, np.random.default_rng(12)) == (1 + beyond) / (
-        1 + DRAWS
-    )
-
-
 def test_false_alarms_come_as_often_as_said() -> None:
     rng = np.random.default_rng(5)
     alarms = sum(study(rng, 0.0) <= 0.05 for _ in range(STUDIES))
@@ -106,49 +84,6 @@ def test_false_alarms_come_as_often_as_said() -> None:
 def test_an_effect_is_seen() -> None:
     rng = np.random.default_rng(6)
     assert sum(study(rng, 0.8) <= 0.01 for _ in range(20)) >= 18
-
-
-def test_a_gap_is_followed_from_wherever_a_recording_begins_in_it() -> None:
-    """A recording that begins on a flank, and takes seconds to leave it, is explained as well as
-    any other.
-    """
-    gap = 0.004
-    recordings = campaign({"backlash": {"gap_rad": gap}}, 8, 6.0)
-    joint = nominal_fit(recordings[:3])
-    rows = joint.stack.part("transmission")
-    term = next(t for t in MOTION if t.name == "backlash")
-    after = fit(
-        joint.equations[0].views,
-        "N m",
-        joint.nominal,
-        (Added(term, (0.003, 0.0, 0.0, 0.1), (1.0,)),),
-        joint,
-    )
-    assert after.effects[0].shape[0] == pytest.approx(gap, rel=0.03)
-    assert np.mean(joint.residual[rows] ** 2) > 1e4
-    assert np.mean(after.residual[rows] ** 2) < 10.0
-
-
-def test_friction_that_falls_is_found_from_an_estimate_without_a_fall() -> None:
-    recordings = campaign({"presliding": {"stiffness_Nm_rad": 2e4}}, 9, 8.0)
-    flat = nominal_fit(recordings)
-    values = {
-        **flat.nominal.values,
-        "Ms": flat.nominal.values["Mc"],
-        "mu_s": flat.nominal.values["mu_c"],
-    }
-    absent = {"Ms", "mu_s", "omega_sf", "omega_sL"}
-    stuck = replace(flat.nominal, values=values, free=tuple(n for n in values if n not in absent))
-    here = flat.equations[0].views
-    begun = fit_from_estimate(here, "N m", stuck, Model())
-    assert begun.cost < 0.9 * fit(here, "N m", stuck).cost
-    assert begun.nominal.values["Ms"] > 1.1 * begun.nominal.values["Mc"]
-    assert stuck.flat
-    assert not begun.nominal.flat
-    raised = stuck.raised(0.05, {"Ms"})
-    assert raised.values["Ms"] == values["Ms"], "what is fixed stays"
-    assert "Ms" not in raised.free
-    assert raised.values["mu_s"] > raised.values["mu_c"]
 
 
 def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again() -> None:
@@ -162,95 +97,6 @@ def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again(
 @pytest.mark.parametrize(("others", "needed"), [(0.1, 0.4), (0.005, 0.8), (0.0005, math.inf)])
 def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
     assert needed_share(others) == needed
-
-
-@pytest.mark.parametrize(
-    ("motion", "rest", "said"), [("linear", 3.1, "rest_m = 3.1"), ("rotary", 3.1, "")]
-)
-def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
-    motion: Literal["linear", "rotary"], rest: float, said: str
-) -> None:
-    """One that rests further away is a constant force; of an angle the range is a turn, whatever
-    the travel.
-    """
-    recording = campaign({}, 3, 6.0)[0]
-    recording = replace(recording, bench=replace(recording.bench, motion=motion))
-    joint = nominal_fit([recording])
-    spring = next(t for t in MOTION if t.name == "return_spring")
-    found = implausible(replace(joint, effects=(Added(spring, (), (2.0, 2.0 * rest)),)))
-    assert found.startswith(said)
-    assert bool(found) == bool(said)
-    near = replace(joint, effects=(Added(spring, (), (2.0, 0.2)),))
-    assert implausible(near) == ""
-
-
-@pytest.mark.parametrize(("mass_kg", "said"), [(30.6, "inertia_kgm2 = 15"), (1.0, "")])
-def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
-    mass_kg: float, said: str
-) -> None:
-    """It is stated for the reference mass: of lighter weights little inertia is a large value."""
-    recordings = [
-        replace(r, weight_mass=mass_kg) if r.weight_mass == 30.6 else r
-        for r in honest()
-        if r.weight_mass in (0.0, 30.6)
-    ]
-    joint = nominal_fit(recordings)
-    inertia = next(t for t in MOTION if t.name == "load_inertia")
-    found = implausible(replace(joint, effects=(Added(inertia, (), (15.0,)),)))
-    assert found.startswith(said)
-    assert bool(found) == bool(said)
-
-
-@pytest.mark.parametrize(("heavier", "said"), [(1.0, "inertia_kgm2 = 15"), (10.0, "")])
-def test_the_inertia_of_a_load_is_plausible_for_the_inertia_of_the_machine(
-    heavier: float, said: str
-) -> None:
-    """A fast machine has little torque and travel for its inertia."""
-    joint = nominal_fit(honest())
-    values = {**joint.nominal.values, "J": heavier * joint.nominal.values["J"]}
-    inertia = next(t for t in MOTION if t.name == "load_inertia")
-    machine = replace(
-        joint,
-        nominal=replace(joint.nominal, values=values),
-        effects=(Added(inertia, (), (15.0,)),),
-    )
-    found = implausible(machine)
-    assert found.startswith(said)
-    assert bool(found) == bool(said)
-
-
-def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:
-    """It begins at nothing, and is fitted as soon as an effect gives the gear something to bear."""
-    recordings = tuple(r for r in campaign({}, 3, 6.0) if r.stage == "unloaded")
-    dataset = Dataset(
-        recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent")
-    )
-    _, first = views_and_fit(dataset, 25.0)
-    assert {"mu_gc", "mu_gs"} <= set(first.nominal.free)
-    assert first.nominal.values["mu_gc"] == first.nominal.values["mu_gs"] == 0.0
-    assert not identifiable(first, "mu_gc")
-    assert identifiable(first, "Mc")
-    plain = views_and_fit(replace(dataset, model=Model()), 25.0)[1]
-    assert first.cost == pytest.approx(plain.cost, rel=0.02)
-
-
-def test_once_a_turn_of_the_joint_is_a_weight_and_no_cogging() -> None:
-    cogging = next(t for t in MOTION if t.name == "cogging")
-    joint = nominal_fit(campaign({}, 3, 6.0)[:1])
-    geared = Context(joint.equations[0].views, joint.nominal)
-    direct = tuple(replace(v, recording=replace(v.recording, bench=Bench())) for v in geared.views)
-    assert (1.0,) in cogging.shapes(geared)
-    assert (1.0,) not in cogging.shapes(replace(geared, views=direct))
-    assert (7.0,) in cogging.shapes(replace(geared, views=direct))
-
-
-def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
-    recordings = campaign({}, 3, 6.0)
-    still = {
-        n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()
-    }
-    aside = views([replace(recordings[0], channels=still)], 25.0)
-    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside)
 
 
 @pytest.mark.proof
@@ -319,3 +165,171 @@ def test_end_stops_are_found_at_one_end_of_the_travel_or_at_both(other: float) -
     assert sizes["other_rad"].value == pytest.approx(other, abs=0.01)
     assert sizes["stiffness_Nm_rad"].value == pytest.approx(60.0, rel=0.1)
     assert ("at the other end" in found.statement) == (other < 0.0)
+
+
+OUTSIDE, NAMED = Verdict.OUTSIDE_CATALOGUE, Verdict.NAMED
+
+
+def term(name: str) -> Any:
+    return SimpleNamespace(name=name)
+
+
+EVERY = [term(name) for name in "abcd"]
+
+
+class Scripted:
+    """Searches with given verdicts and dropped effects; keeps the effects each was given."""
+
+    def __init__(self, script: Sequence[tuple[Verdict, str]], final: Verdict) -> None:
+        self.script, self.final = list(script), final
+        self.asked: list[tuple[str, bool]] = []
+
+    def __call__(self, _task: object, terms: Sequence[Any], thorough: bool = False) -> Any:
+        names = "".join(t.name for t in terms)
+        self.asked.append((names, thorough))
+        verdict, dropped = (self.final, "") if thorough else self.script.pop(0)
+        steps = [Step(DROPPED, name, 1.0, 0.0, "") for name in dropped]
+        found = SimpleNamespace(steps=steps, tag=(names, thorough))
+        made = SimpleNamespace(found=found, judged=SimpleNamespace(verdict=verdict))
+        made._replace = lambda judged: SimpleNamespace(found=found, verdict=judged)
+        return made
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Any:
+    def searched(
+        script: Sequence[tuple[Verdict, str]], final: Verdict = OUTSIDE, nearly_all: bool = True
+    ) -> tuple[Any, list[tuple[str, bool]]]:
+        scripted = Scripted(script, final)
+        monkeypatch.setattr(diagnosing, "_outcome", scripted)
+        monkeypatch.setattr(diagnosing, "explains_nearly_all", lambda _found: nearly_all)
+        monkeypatch.setattr(diagnosing, "without_unlogged", lambda judged, _found: judged)
+        task: Any = None
+        counted: Any = diagnosing._searches(task, EVERY)
+        return counted.found.tag, scripted.asked
+
+    return searched
+
+
+@pytest.mark.parametrize(
+    ("script", "options", "counted", "asked"),
+    [
+        *(
+            ([(verdict, "a")], {}, ("abcd", False), ["abcd"])
+            for verdict in (NAMED, Verdict.AMBIGUOUS, Verdict.NOTHING_MISSING)
+        ),
+        ([(OUTSIDE, "b"), (NAMED, "")], {}, ("acd", False), ["abcd", "acd"]),
+        ([(OUTSIDE, "b"), (Verdict.NOTHING_MISSING, "")], {}, ("abcd", False), ["abcd", "acd"]),
+        ([(OUTSIDE, n) for n in "abc"], {}, ("abcd", False), ["abcd", "bcd", "cd"]),
+        ([(OUTSIDE, "")], {"final": NAMED}, ("abcd", True), ["abcd"]),
+        ([(OUTSIDE, "")], {"final": NAMED, "nearly_all": False}, ("abcd", False), ["abcd"]),
+        ([(OUTSIDE, "")], {"final": Verdict.NOTHING_MISSING}, ("abcd", False), ["abcd"]),
+    ],
+)
+def test_dropped_effects_take_no_part_in_the_next_search_and_only_a_name_replaces_the_first(
+    run: Any, script: Any, options: Any, counted: Any, asked: list[str]
+) -> None:
+    found, searches = run(script, **options)
+    assert found == counted
+    assert [names for names, thorough in searches if not thorough] == asked
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
+    monkeypatch: pytest.MonkeyPatch, moves: bool
+) -> None:
+    """A gap is found; the valve's own motion may then be too little for a fit."""
+    sides: list[tuple[str, bool]] = []
+    gap = SimpleNamespace(term=EFFECTS["backlash"])
+
+    def search(start: Any, _terms: Any, *rest: Any) -> Any:
+        sides.append((start.views, rest[-1].until_flexible))
+        return SimpleNamespace(final=SimpleNamespace(effects=[gap]), side=start.views)
+
+    def fit(*_: Any) -> Any:
+        if not moves:
+            raise RecordingError("no sample is in steady motion")
+        return SimpleNamespace(views="valve")
+
+    for name, replaced in (("search", search), ("fit_from_estimate", fit)):
+        monkeypatch.setattr(diagnosing, name, replaced)
+    monkeypatch.setattr(diagnosing, "views", lambda *_: "valve")
+    dataset = SimpleNamespace(part=lambda _role: [], model=SimpleNamespace(fixed=()), recordings=())
+    first = SimpleNamespace(nominal=None, views="motor", unit="N m")
+    task: Any = SimpleNamespace(dataset=dataset, first=first, rng=None, bandwidth=25.0)
+    task.report = lambda *_: None
+    here, found, flexible = diagnosing._search_sides(task, MOTION, False)
+    side = "valve" if moves else "motor"
+    assert (here, found.side, flexible) == (side, side, moves)
+    assert sides == [("motor", True), (side, False)]
+
+
+HALF_RAD, CLOSES_N_M = 0.003, 3.0
+ROTOR_KG_M2 = 0.1
+TERM = {t.name: t for t in MOTION}
+
+
+@lru_cache
+def recordings(name: str) -> tuple[Recording, ...]:
+    effects = {
+        "backlash": {"gap_rad": 2.0 * HALF_RAD},
+        "coupling_hysteresis": {"deflection_rad": HALF_RAD, "torque_Nm": CLOSES_N_M},
+    }
+    return campaign({name: effects[name]}, 11, 8.0)
+
+
+@lru_cache
+def nominal(name: str) -> Nominal:
+    return nominal_fit(recordings(name)).nominal
+
+
+def valve_side(name: str) -> tuple[View, ...]:
+    return views([r for r in recordings(name) if r.role == "fit"], 25.0, True)
+
+
+def test_a_gap_is_crossed_without_torque() -> None:
+    seen = crossing_torque(valve_side("backlash"), nominal("backlash"), 2.0 * HALF_RAD, ROTOR_KG_M2)
+    assert seen.share < 0.5 * RULES.loop_share
+
+
+def test_a_loop_closes_with_its_torque() -> None:
+    seen = crossing_torque(
+        valve_side("coupling_hysteresis"),
+        nominal("coupling_hysteresis"),
+        2.0 * HALF_RAD,
+        ROTOR_KG_M2,
+    )
+    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param("backlash", marks=pytest.mark.proof), "coupling_hysteresis"]
+)
+def test_each_is_named_and_the_other_rejected(name: str) -> None:
+    found = diagnose(Dataset(recordings(name), Model()))
+    assert found.verdict is Verdict.NAMED
+    assert [e.name for e in found.effects] == [name]
+    assert [
+        r.why_not != ""
+        for r in found.effects[0].rivals
+        if r.name in ("backlash", "coupling_hysteresis")
+    ] == [True]
+
+
+@pytest.mark.parametrize(("name", "told"), [("backlash", True), ("coupling_hysteresis", False)])
+def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(
+    name: str, told: bool
+) -> None:
+    """A loop that the angles give some torque stays open to both."""
+    gap = 1e-4
+    here = valve_side(name)
+    assert crossing_torque(here, nominal(name), gap, ROTOR_KG_M2) is None
+    start = nominal_fit(recordings(name))
+    baseline = fit(here, "N m", start.nominal)
+    own = Added(TERM["backlash"], (gap, 0.0, 0.0, ROTOR_KG_M2), (1.0,))
+    named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
+    _, rounds = gap_or_loop(baseline, named, [Round("backlash", ())], MOTION, [])
+    (rival,) = rounds[0].rivals
+    assert rival.name == "coupling_hysteresis"
+    assert (rival.preference > RULES.rejected) == told
+    assert told or rival.preference == 0.0

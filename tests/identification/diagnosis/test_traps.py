@@ -14,19 +14,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from drivers.mock.plant.machine import SimulatedMachine
-from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.without_bus import record
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.rows import equations
 from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Candidate, Stack
 from identification.effects import MOTION
 from identification.effects.effect import Context
-from identification.recording import Array, Recording
 from identification.views.view import View
 
-from .benches import BENCH, CHANNELS, CYCLE_S, campaign, honest, nominal_fit
+from .benches import campaign, honest, nominal_fit
 
 TERM = {t.name: t for t in MOTION}
 TRUE = {"Mc": 6.825, "sigma_2": 5.3462, "J": 0.204, "omega_sf": 0.0557}
@@ -59,33 +54,11 @@ def surprise(joint: Joint, name: str) -> float:
     return 0.0 if found is None else found.surprise
 
 
-def recorded(machine: Machine, command: Array) -> Recording:
-    """Record one command, unloaded."""
-    simulation = SimulatedMachine(machine, np.random.default_rng(3))
-    simulation.power(True)
-    samples = record(simulation, command, CYCLE_S)
-    channels = {name: getattr(samples, name) for name in CHANNELS} | {"time": samples.time}
-    averaged = frozenset({"current", "voltage"})
-    return Recording(name="r", channels=channels, bench=BENCH, stage="unloaded", averaged=averaged)
-
-
-def clock(seconds: float) -> Array:
-    return np.asarray(np.arange(round(seconds / CYCLE_S)) * CYCLE_S)
-
-
-def filtered(view: View, series: Array) -> Array:
-    return view.low_pass(np.atleast_2d(series))
-
-
-# A regressor built from the measured torque explains everything.
-
-
 def test_no_regressor_of_the_torque_holds_the_measured_torque() -> None:
     joint = timed()
     torque = joint.equations[0]
     power = float(np.sum(joint.residual[joint.stack.part("torque")] ** 2))
     trapped = joint.stack.candidate("any", (), {"torque": torque.rows(lambda v: v.torque)})
-    assert trapped is not None
     assert trapped.gain > 0.999 * power, "explains a torque that it knows nothing of"
     context = Context(torque.views, joint.nominal)
     view = torque.views[0]
@@ -101,78 +74,16 @@ def test_no_regressor_of_the_torque_holds_the_measured_torque() -> None:
             assert own is None or own.gain < 0.05 * power
 
 
-# Torque and regressors through the same filter.
-
-
-def test_torque_and_regressors_pass_one_filter() -> None:
-    bandwidth_Hz, time = 10.0, clock(20.0)
-    swing = np.deg2rad(8.0) * np.sin(0.5 * np.pi * time) * np.clip(time, 0.0, 1.0)
-    recording = recorded(Machine(), swing)
-    joint = nominal_fit([recording], bandwidth_Hz)
-    held = joint.nominal.get("omega_sf")
-    planted = tuple(
-        replace(v, torque=joint.nominal.torque(v) + v.velocity**2) for v in joint.equations[0].views
-    )
-    equation = equations(planted, joint.nominal, "N m")[0]
-    rows = equation.rows(lambda v: v.velocity**2)[:, 0]
-    np.testing.assert_allclose(equation.residual, rows, atol=1e-9)
-    assert held == pytest.approx(TRUE["omega_sf"], rel=0.03)
-
-
-# Zero-phase filters smear reversals backwards.
-
-
 def test_rows_that_a_reversal_touched_imitate_presliding() -> None:
     assert surprise(plain(), "presliding") < SURE / 4.0
     held = best(plain().stack, "presliding", plain().equations[0].views)
     assert held is None or held.share < 0.01
 
 
-# A mean over the cycle is as old as its middle.
-
-
 def test_a_current_averaged_over_the_cycle_is_no_skew() -> None:
     assert surprise(plain(), "time_skew") < SURE / 4.0
     instants = tuple(replace(r, averaged=frozenset()) for r in honest())
     assert surprise(nominal_fit(instants), "time_skew") > SURE
-
-
-# At rest friction balances the load.
-
-
-# Noise comes back through the controller.
-
-
-# Trimming outliers deletes the reversals.
-
-
-# R^2 near 1 hides everything.
-
-
-# Phases differ between recordings where the encoder's origin does.
-
-
-@pytest.mark.parametrize(
-    "lost", [False, True], ids=["one origin", "origin lost between recordings"]
-)
-def test_cogging_is_seen_whatever_the_encoders_origin(lost: bool) -> None:
-    recordings = campaign(
-        {"cogging": {"torque_Nm": 0.5, "per_motor_turn": 2.0, "phase_rad": 0.4}}, 5, 8.0
-    )
-    if lost:
-        turned = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(recordings))
-        recordings = tuple(
-            replace(r, channels={**r.channels, "motor_angle": r.channels["motor_angle"] + turn})
-            for r, turn in zip(recordings, turned, strict=True)
-        )
-    joint = nominal_fit(recordings)
-    found = best(joint.stack, "cogging", joint.equations[0].views)
-    assert found is not None
-    assert found.shape == (2.0,)
-    assert found.gain > 0.5 * joint.cost
-
-
-# A missing effect biases the nominal parameters, which swallow it.
 
 
 def test_what_the_nominal_parameters_swallow_is_given_back() -> None:
@@ -183,7 +94,6 @@ def test_what_the_nominal_parameters_swallow_is_given_back() -> None:
     swallowed = float(column @ torque.residual / (column @ column))
     assert abs(swallowed) < 0.1 * drag, "on the residual alone there is hardly any"
     screening = joint.stack.term(term, ())
-    assert screening is not None
     assert screening.coefficients[0] == pytest.approx(drag, rel=0.1)
     added = Added(term, (), (float(screening.coefficients[0]),))
     after = fit(torque.views, "N m", joint.nominal, (added,), joint)

@@ -1,7 +1,7 @@
 """Random logs of every format, and what must hold of each: it is read to the last bit, or something
 is said.
 
-Each property takes a drawn log and a folder; ``tests/long/log_shapes.py`` runs them many times.
+Each property takes a drawn log and a folder; ``tests/long/fuzz.py`` runs them many times.
 """
 
 from __future__ import annotations
