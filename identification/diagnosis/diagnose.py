@@ -6,8 +6,7 @@ effects are accepted, and the errors of the corrected model are computed on them
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
@@ -18,48 +17,57 @@ from identification.diagnosis.held_out import (
     DROPPED,
     dropped_effects,
     validated_effects,
-    validation_rms,
     with_indistinct_effects,
 )
-from identification.diagnosis.joint import Joint, identifiable, nominal_at
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import (
     Judged,
     effects_of,
     named_or_ambiguous,
+    place_of,
     verdict_of,
     without_unlogged,
 )
-from identification.diagnosis.locate import curve
 from identification.diagnosis.observable import Observable, collinear_effects, observable
-from identification.diagnosis.reasons import explains_nearly_all
+from identification.diagnosis.reasons import Kind, Reason, explains_nearly_all
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
-    Map,
+    IdentifiedEffect,
     ResidualTrace,
-    Shift,
     Verdict,
 )
+from identification.diagnosis.rows import AT_INSTANTS
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.scored import (
+    Constants,
+    Estimate,
+    Scores,
+    constants_of,
+    curve_of,
+    fits_of,
+    grown,
+    identified_constants,
+    reported,
+    scores,
+    shifts_of,
+    traces_of,
+    winding_constants,
+)
 from identification.diagnosis.search import Options, Progress, Search, search
 from identification.diagnosis.significance import crowded_recordings, rests_under_torque
-from identification.diagnosis.stack import Stack
 from identification.diagnosis.statement import statement, warnings_of
 from identification.diagnosis.unexplained import unexplained, unrecorded_effects
 from identification.diagnosis.within_limits import choose, fit_from_estimate, views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Effect
+from identification.effects.model import CorrectedModel
 from identification.estimate.parameter_table import units_of
 from identification.prepare import prepare
-from identification.recording import Array, Dataset, RecordingError
+from identification.recording import Dataset, RecordingError
 from identification.views.view import View, forget, views
 
-Maps = tuple[Map, ...]
 IDENTIFIED = (Verdict.NAMED, Verdict.AMBIGUOUS)
-Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]]]
-"""Function that estimates the nominal parameters of a dataset; it returns name to value, None for a
-parameter that is not determined, and the warnings of the estimator.
-"""
 
 
 def diagnose(
@@ -79,8 +87,9 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share of the step that is done.
         inspect: Called with the fit of the nominal model before the search.
-        estimate: Estimator of the nominal parameters that are reported if nothing is missing; with
-            None, the parameters of the fit are reported.
+        estimate: The estimator of ``rig identify``, whose constants are those of the nominal
+            model; the constants of the corrected model are refined by prediction errors too. With
+            None, the constants are those of the fit of the rows.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
@@ -89,6 +98,7 @@ def diagnose(
     report: Progress = progress or (lambda _stage, _share: None)
     forget()
     report("nominal model", 0.0)
+    everything = dataset
     dataset, bandwidth, resting = choose(dataset, bandwidth_Hz)
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
@@ -96,38 +106,144 @@ def diagnose(
         inspect(first)
     task = _Task(dataset, first, bandwidth, rng, report)
     here, aside, found, judged = _searches(task, terms)
+    report("identifying the nominal parameters", 0.96)
+    nominal, more = _nominal_constants(everything, found, estimate)
+    whole = _Whole(everything, found, nominal, bandwidth, estimate is not None, rng)
+    effects = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
+    shown = _shown(whole, judged, effects)
+    if (doubt := _doubt(shown, judged)) is not None:
+        where = judged.where or place_of(found, judged.maps)
+        names = tuple(e.name for e in effects)
+        why_not = Reason(doubt, found, names)
+        judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
+        shown = _shown(whole, judged, ())
     verdict, where, drawn, reason = judged
-    effects = effects_of(found, rng) if verdict in IDENTIFIED else ()
-    scored = found.final if effects else found.baseline
-    shift = _shifts(found, scored, units_of([prepare(dataset.part("fit")[0], bandwidth)]))
-    if verdict is Verdict.NOTHING_MISSING and estimate is not None:
-        report("identifying the nominal parameters", 0.97)
-        found, shift, more = _with_estimate(found, estimate(dataset), shift)
-        scored, why = found.baseline, (*why, *more)
-    main, fits = fits_of(found.baseline, scored, aside, bandwidth, drawn)
-    unseen, traces = (
-        collinear_effects(found.baseline, terms),
-        traces_of(found.baseline.stack, found.baseline.residual, scored.residual),
-    )
-    findings = _findings(found, judged, traces, (*here, *aside), rng)
+    unseen = collinear_effects(found.baseline, terms)
+    findings = _findings(found, judged, shown.traces, (*here, *aside), rng)
     return Diagnosis(
         verdict=verdict,
-        statement=statement(verdict, effects, main, where, found.p_value, unseen, reason),
-        effects=effects,
-        fit=main,
-        fits=fits,
-        parameters=dict(scored.nominal.values),
-        parameter_shift=shift,
+        statement=statement(
+            verdict, shown.effects, shown.main, where, found.p_value, unseen, reason
+        ),
+        effects=shown.effects,
+        fit=shown.main,
+        fits=shown.fits,
+        parameters=shown.after.model.parameters,
+        parameter_shift=shifts_of(
+            nominal, shown.constants, units_of([prepare(dataset.part("fit")[0], bandwidth)])
+        ),
         p_value=found.p_value,
         location=where,
-        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
+        curve=shown.after.model.curve,
         maps=drawn,
         steps=found.steps,
-        traces=traces,
-        warnings=(*resting, *warnings_of(dataset, here, unseen), *why, *findings),
+        traces=shown.traces,
+        warnings=(
+            *resting,
+            *warnings_of(dataset, here, unseen),
+            *why,
+            *more,
+            *shown.constants.warnings,
+            *findings,
+        ),
         seconds=perf_counter() - clock,
-        alpha=dataset.model.alpha,
+        alpha=shown.after.model.alpha,
     )
+
+
+class _Whole(NamedTuple):
+    """What the reported errors are computed from: all recordings, search, constants of the nominal
+    model, bandwidth, whether constants are refined, and random generator.
+    """
+
+    dataset: Dataset
+    found: Search
+    nominal: Constants
+    bandwidth: float
+    refine: bool
+    rng: np.random.Generator
+
+
+class _Shown(NamedTuple):
+    """The reported model with its constants, errors and effects."""
+
+    effects: tuple[IdentifiedEffect, ...]
+    before: Scores
+    after: Scores
+    constants: Constants
+    fits: tuple[Fit, ...]
+    main: Fit
+    traces: tuple[ResidualTrace, ...]
+
+
+def _nominal_constants(
+    dataset: Dataset, found: Search, estimate: Estimate | None
+) -> tuple[Constants, tuple[str, ...]]:
+    """Return the constants of the nominal model, which are those of ``rig identify``, and warnings;
+    without an estimator, or if it fails, those of the fit of the rows.
+    """
+    rows = constants_of(found.baseline)
+    if estimate is None:
+        return rows, ()
+    try:
+        identified = identified_constants(estimate(dataset))
+    except RecordingError as error:
+        return rows, (f"not identified: {error}",)
+    return identified, tuple(f"identification: {w}" for w in identified.warnings)
+
+
+def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...]) -> _Shown:
+    """Return the reported model: with the effects, or with the curve of a mismatch outside the
+    catalogue, or the nominal model; its errors are computed last.
+    """
+    dataset, found, bandwidth = whole.dataset, whole.found, whole.bandwidth
+    nominal = whole.nominal._replace(warnings=())
+    alpha, winding = dataset.model.alpha, winding_constants(found.baseline)
+    before, within = (
+        scores(dataset, CorrectedModel({**values, **winding}, alpha), bandwidth)
+        for values in (nominal.values, constants_of(found.baseline).values)
+    )
+    after, constants = before, nominal
+    if effects:
+        after, constants = reported(
+            dataset, found.final, effects, bandwidth, nominal, whole.refine, whole.rng
+        )
+    elif judged.verdict is Verdict.OUTSIDE_CATALOGUE:
+        drawn_curve = curve_of(dataset, before, judged.maps, bandwidth)
+        if drawn_curve is not None:
+            curved = scores(dataset, replace(before.model, curve=drawn_curve), bandwidth)
+            if not grown(curved, before, drawn_curve.equation):
+                after = curved
+    final = found.final if effects else found.baseline
+    fits = fits_of(found.baseline, final, before, within, after, bandwidth)
+    drawn = judged.maps
+    main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
+    traces = traces_of(found.baseline, before, after)
+    return _Shown(effects, before, after, constants, fits, main, traces)
+
+
+def _doubt(shown: _Shown, judged: Judged) -> Kind | None:
+    """Return why the reported model contradicts its verdict, or None if it does not.
+
+    *Nothing is missing* requires that the nominal model explains the torque, down to about the
+    noise floor. Identified effects require that the corrected model does not increase the error, of
+    unused recordings where there are some.
+    """
+    if shown.effects:
+        return Kind.NOT_BETTER if grown(shown.after, shown.before, shown.main.equation) else None
+    if judged.verdict is not Verdict.NOTHING_MISSING:
+        return None
+    torque = next((f for f in shown.fits if f.equation == "torque"), None)
+    if torque is not None and (torque.relative or 0.0) ** 2 > 1.0 - RULES.explained:
+        return Kind.MISFIT
+    hidden = judged.reason is not None and judged.reason.kind is Kind.BETWEEN_SAMPLES
+    for fit in shown.fits:
+        if fit.equation in AT_INSTANTS or (hidden and fit.equation == "voltage"):
+            continue
+        least = min(fit.baseline_rms, fit.nominal_within_limits_rms or fit.baseline_rms)
+        if least > RULES.floors * fit.noise_floor_rms:
+            return Kind.MISFIT
+    return None
 
 
 class _Task(NamedTuple):
@@ -205,22 +321,6 @@ def judge(
         found = with_indistinct_effects(found, terms)
         judged = judged._replace(verdict=named_or_ambiguous(found))
     return found, judged
-
-
-def _with_estimate(
-    found: Search,
-    estimated: tuple[Mapping[str, float | None], tuple[str, ...]],
-    shift: Mapping[str, Shift],
-) -> tuple[Search, dict[str, Shift], tuple[str, ...]]:
-    """Return the search and the shifts at estimated values, and the estimator's warnings."""
-    values, warnings = estimated
-    given = {n: v for n, v in values.items() if v is not None}
-    nominal = nominal_at(found.baseline, given)
-    same = {
-        n: replace(s, before=values[n], after=values[n]) if n in values else s
-        for n, s in shift.items()
-    }
-    return replace(found, baseline=nominal, final=nominal), same, warnings
 
 
 def observable_effects(
@@ -303,65 +403,3 @@ def _effects_to_search(
     excluded, why = unrecorded_effects(dataset.part("fit"), here)
     left_out = {*dataset.model.terms, *excluded}
     return [t for t in MOTION if t.name not in left_out], why
-
-
-def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
-    """Return each identifiable nominal parameter of the nominal and of the corrected model."""
-
-    def value(joint: Joint, name: str) -> float | None:
-        return float(joint.nominal.values[name]) if identifiable(joint, name) else None
-
-    return {
-        name: Shift(value(found.baseline, name), value(final, name), units[name])
-        for name in found.baseline.nominal.values
-    }
-
-
-def fits_of(
-    baseline: Joint, final: Joint, aside: Sequence[View], bandwidth: float, drawn: Maps
-) -> tuple[Fit, tuple[Fit, ...]]:
-    """Return the errors of the equation in which the mismatch is judged, and of all equations."""
-    held_before, held_after = validation_rms(baseline, aside), validation_rms(final, aside)
-    out = []
-    for equation in baseline.equations:
-        rows = baseline.stack.part(equation.name)
-        rms = [
-            equation.sigma * math.sqrt(float(np.mean(j.residual[rows][equation.owner >= 0] ** 2)))
-            for j in (baseline, final)
-        ]
-        out.append(
-            Fit(
-                equation=equation.name,
-                unit=equation.unit,
-                bandwidth_Hz=bandwidth,
-                baseline_rms=rms[0],
-                final_rms=rms[1],
-                noise_floor_rms=equation.sigma,
-                validate_baseline_rms=held_before.get(equation.name),
-                validate_final_rms=held_after.get(equation.name),
-            )
-        )
-    return next((f for f in out if drawn and f.equation == drawn[0].equation), out[0]), tuple(out)
-
-
-def traces_of(stack: Stack, first: Array, last: Array) -> tuple[ResidualTrace, ...]:
-    """Return whitened rows by two models as the mismatch of every recording and equation."""
-    out = []
-    for equation in stack.equations:
-        rows = stack.part(equation.name)
-        before, after = (equation.sigma * left[rows] for left in (first, last))
-        for view in equation.views:
-            mine = equation.owner == view.index
-            if np.any(mine):
-                out.append(
-                    ResidualTrace(
-                        view.recording.name,
-                        view.recording.role,
-                        equation.name,
-                        equation.unit,
-                        equation.time[mine],
-                        before[mine],
-                        after[mine],
-                    )
-                )
-    return tuple(out)

@@ -19,14 +19,14 @@ from typing import Any, ClassVar, NamedTuple, cast
 import numpy as np
 
 from identification.diagnosis.comparison import implausible
-from identification.diagnosis.diagnose import IDENTIFIED, fits_of, judge, traces_of
-from identification.diagnosis.held_out import dropped_effects, validation_residual
+from identification.diagnosis.diagnose import IDENTIFIED, judge
+from identification.diagnosis.held_out import dropped_effects, validation_residual, validation_rms
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import effects_of
 from identification.diagnosis.linear import Added, effect_derivatives
-from identification.diagnosis.locate import curve
-from identification.diagnosis.result import Diagnosis, Fit, Shift, Verdict
+from identification.diagnosis.result import Diagnosis, Fit, Map, ResidualTrace, Shift, Verdict
 from identification.diagnosis.rows import Coordinate, Equation
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Options, Progress, search
 from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
 from identification.diagnosis.statement import statement
@@ -35,6 +35,7 @@ from identification.diagnosis.within_limits import fitted_part
 from identification.effects import GAS
 from identification.effects.effect import Shape
 from identification.effects.gas_generator import GasGeneratorEffect
+from identification.effects.model import Curve
 from identification.model import gas_generator as kernel
 from identification.model.gas_generator import (
     GasGenerator,
@@ -622,13 +623,13 @@ def diagnose_gas(
     effects = effects_of(found, rng) if verdict in IDENTIFIED else ()
     scored = cast(GasFit, found.final if effects else found.baseline)
     bandwidth = 0.5 / min(b.step for b in here)
-    main, fits = fits_of(found.baseline, scored, aside, bandwidth, drawn)
-    traces = traces_of(found.baseline.stack, found.baseline.residual, scored.residual)
+    main, fits = _fits_of(found.baseline, scored, aside, bandwidth, drawn)
+    traces = _traces_of(found.baseline.stack, found.baseline.residual, scored.residual)
     before, after = (
         validation_residual(j, aside) if aside else None for j in (found.baseline, scored)
     )
     if before is not None and after is not None:
-        traces += traces_of(before[0], before[1], after[1])
+        traces += _traces_of(before[0], before[1], after[1])
     return Diagnosis(
         verdict=verdict,
         statement=statement(verdict, effects, main, where, found.p_value, (), reason),
@@ -639,7 +640,7 @@ def diagnose_gas(
         parameter_shift=_shifts(found.baseline, scored),
         p_value=found.p_value,
         location=where,
-        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
+        curve=_curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
         traces=traces,
@@ -698,3 +699,77 @@ def _warnings(baseline: Joint, aside: Sequence[Burn], main: Fit) -> list[str]:
             f"{', '.join(strained)}; check these constants first"
         )
     return warnings
+
+
+def _fits_of(
+    baseline: Joint, final: Joint, aside: Sequence[View], bandwidth: float, drawn: Sequence[Map]
+) -> tuple[Fit, tuple[Fit, ...]]:
+    """Return the errors of the equation in which the mismatch is judged, and of all equations."""
+    held_before, held_after = validation_rms(baseline, aside), validation_rms(final, aside)
+    out = []
+    for equation in baseline.equations:
+        rows = baseline.stack.part(equation.name)
+        rms = [
+            equation.sigma * math.sqrt(float(np.mean(j.residual[rows][equation.owner >= 0] ** 2)))
+            for j in (baseline, final)
+        ]
+        out.append(
+            Fit(
+                equation=equation.name,
+                unit=equation.unit,
+                bandwidth_Hz=bandwidth,
+                baseline_rms=rms[0],
+                final_rms=rms[1],
+                noise_floor_rms=equation.sigma,
+                validate_baseline_rms=held_before.get(equation.name),
+                validate_final_rms=held_after.get(equation.name),
+            )
+        )
+    return next((f for f in out if drawn and f.equation == drawn[0].equation), out[0]), tuple(out)
+
+
+def _traces_of(stack: Stack, first: Array, last: Array) -> tuple[ResidualTrace, ...]:
+    """Return whitened rows by two models as the mismatch of every recording and equation."""
+    out = []
+    for equation in stack.equations:
+        rows = stack.part(equation.name)
+        before, after = (equation.sigma * left[rows] for left in (first, last))
+        for view in equation.views:
+            mine = equation.owner == view.index
+            if np.any(mine):
+                out.append(
+                    ResidualTrace(
+                        view.recording.name,
+                        view.recording.role,
+                        equation.name,
+                        equation.unit,
+                        equation.time[mine],
+                        before[mine],
+                        after[mine],
+                    )
+                )
+    return tuple(out)
+
+
+def _curve(drawn: Sequence[Map]) -> Curve | None:
+    """Return the mean of a map as an empirical curve of the mismatch: of the location's map, if its
+    mean explains about as much as the mean of any map; otherwise of the map whose mean explains
+    most.
+
+    The mean of the location's map may explain little, if the nominal parameters compensate a part
+    of the missing torque, or if this torque is proportional to the load.
+    """
+    if not drawn:
+        return None
+    found = max(drawn, key=lambda m: m.mean_share)
+    if drawn[0].mean_share >= RULES.own_coordinate * found.mean_share:
+        found = drawn[0]
+    return Curve(
+        found.equation,
+        found.coordinate,
+        found.unit,
+        found.residual_unit,
+        found.centre,
+        found.mean,
+        found.against_motion,
+    )

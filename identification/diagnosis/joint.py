@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
@@ -396,41 +396,6 @@ def _grid_minimum(cost: Callable[[Shape], float], effect: Added, share: float) -
     return best
 
 
-# Evaluates the nominal model at given values of its parameters, such as those of ``rig identify``,
-# in the form of a fit.
-
-
-def nominal_at(like: Joint, values: Mapping[str, float]) -> Joint:
-    """Return the nominal model at given values of its parameters, with the residual of every
-    equation.
-
-    Args:
-        like: A fit of the nominal model, whose recordings, noise and blocks of rows are used.
-        values: Name to value; nominal parameters that are not named keep their fitted values.
-    """
-    known = {n: v for n, v in values.items() if n in like.nominal.values}
-    nominal = replace(like.nominal, values={**like.nominal.values, **known})
-    stack = stack_of(like.rows_at(nominal), nominal, like.stack)
-    residual = np.concatenate([_remaining(e, nominal.free) / e.sigma for e in stack.equations])
-    return Joint(nominal, (), stack.equations, residual, stack)
-
-
-def _remaining(equation: Equation, given: Sequence[str]) -> Array:
-    """Return the residual of an equation after a linear fit of the parameters that are not given.
-
-    In the torque equation only the rotor's share of the inertia is fitted. In every other equation
-    all parameters are fitted, because none of them is a nominal parameter, such as the zero of an
-    encoder.
-    """
-    held = given if equation.name == "torque" else ()
-    other = equation.tangent[:, [name not in held for name in equation.names]]
-    if not other.shape[1]:
-        return equation.residual
-    return np.asarray(
-        equation.residual - other @ np.linalg.lstsq(other, equation.residual, rcond=None)[0]
-    )
-
-
 # The part of a fit that is due to one of its effects.
 
 SET_BY_EFFECTS = ("fitted_alpha", "presliding_stiffness", "late_s")
@@ -618,14 +583,16 @@ def with_lower_noise(baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
     """
     if not joint.effects[-1].term.fast:
         return baseline, joint
-    before = _with_lower(baseline, [_with_noise_of(e, joint) for e in joint.equations])
+    before = _with_lower(baseline, [noise_left(e, joint) for e in joint.equations])
     if before is baseline:
         return baseline, joint
     return before, before.again(joint.nominal, joint.effects)
 
 
-def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
-    """Return an equation with the noise by the residual of a fit, if this noise is lower."""
+def noise_left(equation: Equation, joint: Joint) -> Equation:
+    """Return an equation with the noise by the residual of a fit, if this noise is lower; an
+    equation that judges no model is not changed.
+    """
     if not equation.judges:
         return equation
     rest = without_tones(

@@ -86,6 +86,15 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     return Judged(named_or_ambiguous(found), where, drawn)
 
 
+def place_of(found: Search, drawn: tuple[Map, ...]) -> Location | None:
+    """Return the location of a mismatch by its maps; None without a map."""
+    if not drawn:
+        return None
+    main = next(e for e in found.baseline.equations if e.name == drawn[0].equation)
+    rows = found.baseline.stack.part(main.name)
+    return location(main, drawn[0], main.sigma * found.baseline.residual[rows])
+
+
 def named_or_ambiguous(found: Search) -> Verdict:
     """Return the verdict on effects that explain the mismatch, from their rivals."""
     open_rivals = any(_open_rivals(r) for r in found.rounds)

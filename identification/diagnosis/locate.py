@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.result import Location, Map
 from identification.diagnosis.rows import (
     DIRECTION,
     FROM_TORQUE,
@@ -267,30 +267,6 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
         else:
             stretches.append((low, high))
     return tuple(stretches)
-
-
-def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the mean of a map as an empirical curve of the mismatch: of the location's map, if its
-    mean explains about as much as the mean of any map; otherwise of the map whose mean explains
-    most.
-
-    The mean of the location's map may explain little, if the nominal parameters compensate a part
-    of the missing torque, or if this torque is proportional to the load.
-    """
-    if not drawn:
-        return None
-    found = max(drawn, key=lambda m: m.mean_share)
-    if drawn[0].mean_share >= RULES.own_coordinate * found.mean_share:
-        found = drawn[0]
-    return Curve(
-        found.equation,
-        found.coordinate,
-        found.unit,
-        found.residual_unit,
-        found.centre,
-        found.mean,
-        found.against_motion,
-    )
 
 
 def map_over(

@@ -222,6 +222,8 @@ class Kind(Enum):
     TOO_LITTLE = "the effects explain too little of the mismatch"
     BETWEEN_SAMPLES = "values between the samples may cause the mismatch"
     REVERSALS = "the remaining mismatch depends on travel or time since each reversal"
+    NOT_BETTER = "the corrected model does not lower the error"
+    MISFIT = "the nominal model does not describe the recordings"
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
+from identification.effects.model import Curve
 from identification.recording import Array
 
 
@@ -92,6 +93,14 @@ class IdentifiedEffect:
 class Fit:
     """Rms errors of one equation by the nominal and by the corrected model, at one bandwidth; the
     values ``validate_*`` are None without recordings of role ``validate``.
+
+    Attributes:
+        baseline_rms: Error with the constants of the nominal model.
+        final_rms: Error with the reported constants and effects, as in the exported model.
+        noise_floor_rms: What no model can explain.
+        nominal_within_limits_rms: Error of the nominal model with the constants that fit the rows
+            of this equation best within their limits.
+        relative: Norm of the error of the corrected model over that of the measured side.
     """
 
     equation: str
@@ -102,6 +111,9 @@ class Fit:
     noise_floor_rms: float
     validate_baseline_rms: float | None = None
     validate_final_rms: float | None = None
+    nominal_within_limits_rms: float | None = None
+    validate_nominal_within_limits_rms: float | None = None
+    relative: float | None = None
 
 
 @dataclass(frozen=True)
@@ -150,24 +162,6 @@ class Map:
     against_motion: bool = False
     mean_share: float = 0.0
     periodic: bool = False
-
-
-@dataclass(frozen=True)
-class Curve:
-    """An empirical curve of a mismatch outside the catalogue, for simulations.
-
-    The curve is ``value`` over ``grid``, shape (g,) each; it is linear between points and constant
-    beyond the first and the last point. With ``against_motion`` it acts against the motion, like
-    friction, in both directions.
-    """
-
-    equation: str
-    coordinate: str
-    unit: str
-    residual_unit: str
-    grid: Array
-    value: Array
-    against_motion: bool = False
 
 
 @dataclass(frozen=True)

@@ -20,52 +20,9 @@ from identification.model.parameters import unit_on
 from identification.numerics.compiled import compiled
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array
-from identification.signals import BoolArray, Decimator, central_difference, quantum, resample
-from identification.views.nominal import Nominal, winding_voltage
-from identification.views.view import RISE_SAMPLES, View, lacks_common_origin
-
-# Describes what samples at instants leave unknown about the mean of voltage and current over a
-# sample period, to which the voltage equation applies.
-
-
-def voltage_change(view: View) -> Array:
-    """Return the change of the voltage over one sample period, V, shape (n,); zero for an averaged
-    channel.
-
-    A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
-    channel is declared as averaged, start and duration of this cycle are unknown; therefore the
-    delay of the voltage is a parameter of the voltage equation.
-    """
-    assert view.voltage is not None
-    if "voltage" in view.recording.averaged:
-        return np.zeros(len(view.time))
-    return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
-
-
-def command_ripple(view: View) -> Array:
-    """Return the acceleration of the command, rad/s^2 or m/s^2, shape (n,); zero without a command,
-    or if voltage and current are averaged.
-
-    A loop that receives a command at intervals changes the current in steps. With feed-forward the
-    steps are in proportion to the acceleration of the command. If log and loop are synchronised,
-    all samples are taken at one phase of the steps, so that their difference from the mean over a
-    sample period is in proportion to this acceleration.
-    """
-    recording = view.recording
-    command = recording.channels.get("command")
-    if command is None or {"voltage", "current"} <= recording.averaged:
-        return np.zeros(len(view.time))
-    speed = central_difference(resample(recording.time, command, view.time), view.step)
-    return central_difference(speed, view.step)
-
-
-INSTANTS: Mapping[str, Callable[[View], Array]] = {
-    "hold": voltage_change,
-    "ripple": command_ripple,
-}
-"""Parameters that samples at instants add to the voltage equation, each with the function that
-computes its column.
-"""
+from identification.signals import BoolArray, Decimator, central_difference, quantum
+from identification.views.nominal import INSTANTS, Nominal, voltage_change, winding_voltage
+from identification.views.view import View, lacks_common_origin, rise_rate, sharpness
 
 
 def between_samples(views: Sequence[View]) -> float:
@@ -165,12 +122,6 @@ def _tone(rows: Array, time: Array) -> Array:
 
 LEAST_BREAKAWAYS = 12
 """Least number of breakaways, over all recordings, for a breakaway equation."""
-WITHIN_STEP = 0.3
-"""Standard deviation of the instant of a breakaway within its sample, relative to the sample period
-(0.29 for a uniform distribution).
-"""
-SURE_N_M = 0.1
-"""Approximate torque noise of one sample on the practical bench."""
 SAME_STEP = 0.01
 """Relative difference up to which two steps of an encoder are equal."""
 Places = NDArray[np.int64]
@@ -294,7 +245,7 @@ def _stack(
     for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
         if name in AT_INSTANTS:
-            parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
+            parts.append((series[:, view.breakaways] * sharpness(view))[:, at].T)
         else:
             parts.append(view.low_pass.chosen(series, at))
     return np.concatenate(parts)
@@ -431,7 +382,9 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
         )
 
     def tangent(view: View) -> Array:
-        return np.stack([view.sense, _rise(view), *([view.moment * view.sense] if loaded else [])])
+        return np.stack(
+            [view.sense, rise_rate(view), *([view.moment * view.sense] if loaded else [])]
+        )
 
     names = ("Ms", "rate", *(["mu_s"] if loaded else []))
     return _build(
@@ -443,21 +396,6 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
         tangent,
         names,
     )
-
-
-def _rise(view: View) -> Array:
-    """Return the rate of rise of the torque over a few samples before each sample, N m/s."""
-    before = np.roll(view.raw_torque, 1)
-    return np.asarray(
-        (before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step)
-    )
-
-
-def _sharpness(view: View) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less a sample states."""
-    last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
-    unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
-    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_N_M) ** 2))
 
 
 def _transmission(views: Sequence[View]) -> Equation | None:

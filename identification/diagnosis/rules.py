@@ -122,6 +122,14 @@ class SelectionRules:
         own_coordinate: Ratio of the share of the mismatch that the catalogue's coordinate of an
             effect explains to the greatest share of any coordinate, from which the catalogue's
             coordinate is reported. Basis: chosen on development trials.
+        least_curve_gain: Share of the mean square of blocks left out that an empirical curve must
+            remove. Basis: a curve through noise removes nothing of them; a smaller share is not
+            worth the curve.
+        explained: Share of the torque's power that the nominal model must explain for the verdict
+            *nothing missing*. Basis: a model that explains less than half does not describe the
+            machine.
+        floors: Ratio of the error to the noise floor up to which nothing is missing. Basis: as
+            `excess`, of an amplitude.
         recording: Ratio of a recording's mean-square mismatch to that of the noise, from which the
             mismatch is present in the recording. Basis: equal to `excess_of_one`.
         alike: Share of an effect's regressor that another effect explains, from which the two are
@@ -169,6 +177,9 @@ class SelectionRules:
     faint_confidence: float = 0.9
     implausible_confidence: float = 0.05
     own_coordinate: float = 0.8
+    least_curve_gain: float = 0.05
+    explained: float = 0.5
+    floors: float = 1.5
     recording: float = 2.0
     alike: float = 0.9
     alike_shapes: float = 0.5

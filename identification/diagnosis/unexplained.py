@@ -113,6 +113,18 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
         )
     if reason.kind is Kind.BETWEEN_SAMPLES:
         return _between_samples(reason.search)
+    if reason.kind is Kind.NOT_BETTER:
+        return (
+            f"{' and '.join(titles)} would explain the mismatch of the fitted rows, but the model "
+            "with these effects does not lower the error of the recordings",
+        )
+    if reason.kind is Kind.MISFIT:
+        return (
+            "the nominal model does not describe these recordings: its error is above the noise "
+            "floor, although no effect of the catalogue shows in it; look at the channels, their "
+            "signs and units, and for torques that are not declared (a weight, a contact, a "
+            "controller's own)",
+        )
     share = 100.0 * judged_equation(reason.search).explained
     words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
     if reason.kind is Kind.REVERSALS:

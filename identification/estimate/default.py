@@ -27,9 +27,9 @@ from identification.estimate.equation_error import (
     unloaded_stage,
 )
 from identification.estimate.parameter_table import (
-    fit_of,
     least_pinned,
     parameter_table,
+    printed_fit,
     trace_of,
     tradeoffs,
     units_of,
@@ -142,20 +142,22 @@ def identification(
     """
     model = dataset.model
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
-    validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
+    every = [p for _, parts in prepared for p in parts]
+    cut = len(every) > len(prepared)
     first = active[0].recording
     constants = shifts_of_constants(
         active, lambda moved: solve_stages(*by_load(moved), model, silent)[0]
     )
     known = with_constants(found.spread, constants)
     values, spread, priors, doubts = with_priors(found.values, known, model.priors)
+    fit, fits = printed_fit(every, cut, values, model.alpha)
     return Identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
         # The floor is the bound for the recordings alone, without priors.
         parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
-        fit=fit_of(active, values, model.alpha, validate),
+        fit=fit,
         stages=found.stages,
         fitted=dict(values),
         friction=model.friction,
@@ -168,7 +170,7 @@ def identification(
         known_constants=constants,
         priors=priors,
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
-        fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
+        fits_by_recording=fits,
         evaluations=sum(s.evaluations for s in found.stages),
     )
 

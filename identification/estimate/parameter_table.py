@@ -24,6 +24,9 @@ from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model
 from identification.result import Fit, Parameter, Trace, Tradeoff
+from identification.views.nominal import Nominal
+from identification.views.predicted import Predicted, predicted_torque, relative, rms
+from identification.views.view import views
 
 WIDEST = 0.5
 """Ratio of the 90 % interval's half width to the value above which a parameter is not
@@ -68,6 +71,56 @@ def fit_of(
         train_relative=relative,
         validate_rms=None if held[0] is None else scale * held[0],
         validate_relative=held[1],
+    )
+
+
+def printed_fit(
+    prepared: Sequence[Prepared], cut: bool, values: Mapping[str, float], alpha: float
+) -> tuple[Fit, dict[str, Fit]]:
+    """Return the torque error as every command prints it (:mod:`identification.views.predicted`),
+    over all recordings and over each.
+
+    Without a sample in steady motion the error is that of the rows of the fit.
+
+    Args:
+        prepared: All recordings, or all pieces of them.
+        cut: Whether the recordings are cut into pieces, which are processed one by one.
+        values: Name to value.
+        alpha: Stribeck exponent.
+    """
+    nominal, bandwidth = Nominal(values, (), alpha), prepared[0].bandwidth_Hz
+    every = [p.recording for p in prepared if p.recording.role in ("fit", "validate")]
+    parts = [
+        predicted_torque(view, nominal)
+        for group in ([[r] for r in every] if cut else [every])
+        for view in views(group, bandwidth)
+    ]
+    fitted = [p for p in prepared if p.recording.role == "fit"]
+    whole = _printed([p for p in parts if p.role == "fit"], prepared[0])
+    held = _printed([p for p in parts if p.role == "validate"], prepared[0])
+    whole = whole or fit_of(fitted, values, alpha)
+    if held is not None:
+        whole = replace(whole, validate_rms=held.train_rms, validate_relative=held.train_relative)
+    each = {}
+    for name in dict.fromkeys(p.recording.name for p in prepared):
+        own = _printed([part for part in parts if part.recording == name], prepared[0])
+        each[name] = own or fit_of([p for p in prepared if p.recording.name == name], values, alpha)
+    return whole, each
+
+
+def _printed(parts: Sequence[Predicted], first: Prepared) -> Fit | None:
+    """Return the error of some recordings, or None without a sample."""
+    error = rms(parts)
+    if error is None:
+        return None
+    volts = volts_per_torque(first.recording)
+    return Fit(
+        unit=torque_unit(first.recording) if volts is None else "V",
+        bandwidth_Hz=first.bandwidth_Hz,
+        train_rms=(1.0 if volts is None else volts) * error,
+        train_relative=relative(parts) or 0.0,
+        validate_rms=None,
+        validate_relative=None,
     )
 
 

@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from identification.diagnosis.result import Curve, Fit, IdentifiedEffect, Map, ResidualTrace
+from identification.diagnosis.result import Fit, IdentifiedEffect, Map, ResidualTrace
+from identification.effects.model import Curve
 from identification.plots.style import (
     BLACK,
     BLUE,

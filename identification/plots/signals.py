@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from identification.export.model import Predicted
 from identification.model.parameters import torque_word, unit_on
 from identification.plots.style import (
     BLUE,
@@ -29,6 +28,7 @@ from identification.prepare import Prepared, joint_angle, torque_unit
 from identification.recording import Recording
 from identification.result import Trace
 from identification.simulate.closed_loop import Response, simulated_torque
+from identification.views.predicted import Predicted
 
 
 def response(trace: Trace, recording: Recording, unit: str) -> Figure:

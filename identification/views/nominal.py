@@ -8,14 +8,14 @@ right basin more often.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
-from identification.signals import central_difference
+from identification.signals import central_difference, resample
 from identification.views.view import View, recent
 
 RISE = 0.5
@@ -324,3 +324,43 @@ def winding_voltage(view: View) -> Array:
     resistive = (bench.resistance or 0.0) * view.current
     emf = (bench.back_emf_constant or 0.0) * view.motor_speed
     return np.asarray(resistive + (bench.inductance or 0.0) * change + emf)
+
+
+def voltage_change(view: View) -> Array:
+    """Return the change of the voltage over one sample period, V, shape (n,); zero for an averaged
+    channel.
+
+    A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
+    channel is declared as averaged, start and duration of this cycle are unknown; therefore the
+    delay of the voltage is a parameter of the voltage equation.
+    """
+    assert view.voltage is not None
+    if "voltage" in view.recording.averaged:
+        return np.zeros(len(view.time))
+    return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
+
+
+def command_ripple(view: View) -> Array:
+    """Return the acceleration of the command, rad/s^2 or m/s^2, shape (n,); zero without a command,
+    or if voltage and current are averaged.
+
+    A loop that receives a command at intervals changes the current in steps. With feed-forward the
+    steps are in proportion to the acceleration of the command. If log and loop are synchronised,
+    all samples are taken at one phase of the steps, so that their difference from the mean over a
+    sample period is in proportion to this acceleration.
+    """
+    recording = view.recording
+    command = recording.channels.get("command")
+    if command is None or {"voltage", "current"} <= recording.averaged:
+        return np.zeros(len(view.time))
+    speed = central_difference(resample(recording.time, command, view.time), view.step)
+    return central_difference(speed, view.step)
+
+
+INSTANTS: Mapping[str, Callable[[View], Array]] = {
+    "hold": voltage_change,
+    "ripple": command_ripple,
+}
+"""Parameters that samples at instants add to the voltage equation, each with the function that
+computes its column.
+"""

@@ -186,6 +186,12 @@ greatest voltage, at which the recorded voltage counts as computed.
 """
 NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")
+WITHIN_STEP = 0.3
+"""Standard deviation of the instant of a breakaway within its sample, relative to the sample period
+(0.29 for a uniform distribution).
+"""
+SURE_N_M = 0.1
+"""Approximate torque noise of one sample on the practical bench."""
 P = ParamSpec("P")
 R = TypeVar("R")
 KEPT = 128
@@ -553,6 +559,21 @@ def _encoder_lag(recording: Recording) -> Array | None:
     if float(np.ptp(lag)) < SAME_ENCODER * float(np.ptp(channels["angle"])):
         return None
     return np.asarray(lag)
+
+
+def rise_rate(view: View) -> Array:
+    """Return the rate of rise of the torque over a few samples before each sample, N m/s."""
+    before = np.roll(view.raw_torque, 1)
+    return np.asarray(
+        (before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step)
+    )
+
+
+def sharpness(view: View) -> Array:
+    """Return weights of breakaways: the faster the torque rises, the less a sample states."""
+    last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
+    unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
+    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_N_M) ** 2))
 
 
 def torque_per_ampere(view: View) -> float:

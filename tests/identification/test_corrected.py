@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from identification.diagnosis.result import Curve
 from identification.effects import MOTION
 from identification.effects.effect import Context, Effect
-from identification.export.model import CorrectedModel, carried
+from identification.effects.model import CorrectedModel, Curve, carried
 from identification.recording import Array, Bench, Recording
 from identification.views.nominal import Nominal
 from identification.views.view import View, views

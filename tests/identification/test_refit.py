@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from identification.effects.model import CorrectedModel, refit, without_effects
 from identification.estimate.default import identify
-from identification.export.model import CorrectedModel, refit, without_effects
 from identification.recording import Bench, Dataset, Recording, RecordingError
 
 BENCH = Bench(torque_constant=0.03, gear_ratio=100.0)

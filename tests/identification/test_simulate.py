@@ -14,7 +14,7 @@ from identification.diagnosis.unexplained import unrecorded_effects
 from identification.diagnosis.within_limits import views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Context
-from identification.export.model import CorrectedModel, predictions
+from identification.effects.model import CorrectedModel, predictions
 from identification.filter.segments import motion
 from identification.model.parameters import NOMINAL
 from identification.prepare import prepare

@@ -16,7 +16,7 @@ import rig.results.diagnose.diagnose
 from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Diagnosis, Shift
 from identification.effects import EFFECTS
-from identification.export.model import CorrectedModel
+from identification.effects.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status

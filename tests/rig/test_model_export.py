@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 import yaml
 
-from identification.diagnosis.result import Curve
 from identification.effects import EFFECTS, MOTION
-from identification.export.model import CorrectedModel, carried
+from identification.effects.model import CorrectedModel, Curve, carried
 from identification.recording import Bench, Recording
 from rig.results.diagnose.exports import python_text, yaml_text
 

@@ -24,7 +24,7 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.statement import FACTORS, readable
 from identification.effects import EFFECTS
 from identification.effects.effect import Effect, Quantity
-from identification.export.model import COORDINATES
+from identification.effects.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit
 from identification.plots import mismatch
 from identification.prepare import torque_unit

@@ -22,7 +22,8 @@ from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.effects import EFFECTS
 from identification.effects.effect import Separation
-from identification.export.model import COORDINATES, CorrectedModel, Response, Signals
+from identification.effects.model import COORDINATES, CorrectedModel, Response
+from identification.export.model import Signals
 from identification.numerics.series import sine_cosine
 from identification.recording import Bench as Constants
 from identification.recording import Recording

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from drivers.mock.plant.effects.pack import problems
-from identification.export.model import CorrectedModel
+from identification.effects.model import CorrectedModel
 from identification.recording import Bench as Constants
 from rig.common.errors import InputError
 from rig.common.places import is_file

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from identification.diagnosis.gas import PRESSURE
-from identification.diagnosis.result import Curve, Diagnosis
+from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
-from identification.export.model import COORDINATES, CorrectedModel
+from identification.effects.model import COORDINATES, CorrectedModel, Curve
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json

@@ -10,7 +10,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from identification.export.model import CorrectedModel, Predicted, predictions, rms
+from identification.effects.model import CorrectedModel, predictions, views_for
 from identification.plots.signals import predicted, simulated
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
@@ -22,7 +22,7 @@ from identification.simulate.closed_loop import (
     replay,
     with_friction,
 )
-from identification.views.view import views
+from identification.views.predicted import Predicted, rms
 from rig.common.errors import InputError
 from rig.common.provenance import Provenance, sha256_file
 from rig.common.tables import number, percent
@@ -66,9 +66,9 @@ def predict(
     Raises:
         RecordingError: A recording cannot be filtered to this bandwidth.
     """
-    seen = views(dataset.recordings, bandwidth_Hz)
     found = []
     for file, model in models:
+        seen = views_for(dataset.recordings, bandwidth_Hz, model)
         forms = [model]
         if model.effects or model.curve is not None:
             forms.append(dataclasses.replace(model, effects={}, curve=None))

@@ -61,18 +61,6 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
     assert "nothing is missing" in found.statement
 
 
-def test_where_nothing_is_missing_the_values_and_errors_are_those_of_the_estimate() -> None:
-    """A wrong estimate is not hidden: the printed error is the one that its values leave."""
-    plain = of_honest()
-    given = {**plain.parameters, "J": 1.3 * plain.parameters["J"]}
-    found = diagnose(Dataset(honest()), estimate=lambda _dataset: ({**given, "Ms": None}, ("hm",)))
-    assert found.parameters["J"] == given["J"]
-    assert found.parameter_shift["J"].before == found.parameter_shift["J"].after == given["J"]
-    assert found.parameter_shift["Ms"].after is None
-    assert "hm" in found.warnings
-    assert found.fit.final_rms > 1.2 * plain.fit.final_rms
-
-
 @pytest.mark.parametrize(
     ("name", "parameters", "equation"),
     [

@@ -15,7 +15,6 @@ from identification.diagnosis.linear import Added
 from identification.diagnosis.locate import (
     Mismatch,
     best_map,
-    curve,
     maps,
     mismatch_of,
     ranges,
@@ -44,9 +43,6 @@ def test_a_worn_patch_lies_where_it_is_though_its_torque_turns_with_the_motion()
     assert angle.share > 0.5
     assert any(low < CENTER_RAD < high for low, high in ranges(angle))
     assert angle.mean[np.argmin(np.abs(angle.centre - CENTER_RAD))] > 0.5
-    carried = curve(drawn)
-    assert (carried.coordinate, carried.against_motion) == ("angle", True)
-    assert curve([]) is None
 
 
 HIDDEN = {

@@ -1,0 +1,127 @@
+"""Errors of the equations: measured less modelled side, filtered to one bandwidth, at the samples
+where the equation applies. Every command that prints an error computes it here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.numerics.arrays import Array
+from identification.signals import BoolArray
+from identification.views.nominal import INSTANTS, NominalTorque
+from identification.views.view import View, sharpness
+
+LEAST_PER_COLUMN = 10
+"""Least number of samples for each quantity that is fitted in a recording."""
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One equation of one recording at the stated bandwidth.
+
+    Attributes:
+        equation: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
+        recording: Name of the recording.
+        role: ``fit`` or ``validate``.
+        time: s, shape (n,).
+        measured: Measured side in the equation's unit, shape (n,); NaN at samples where the
+            equation does not apply (at rest, or with the power stage off).
+        model: Modelled side in the equation's unit, shape (n,); NaN at the same samples.
+    """
+
+    equation: str
+    recording: str
+    role: str
+    time: Array
+    measured: Array
+    model: Array
+
+    @property
+    def error(self) -> Array:
+        """Measured less modelled side of the equation, at the samples where the equation
+        applies, shape (k,).
+        """
+        off = self.measured - self.model
+        return off[np.isfinite(off)]
+
+
+def rms(parts: Iterable[Predicted]) -> float | None:
+    """Return the root mean square of the errors of several recordings, or None without any
+    error.
+    """
+    errors = [p.error for p in parts]
+    count = sum(len(e) for e in errors)
+    return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None
+
+
+def predicted(
+    view: View, equation: str, measured: Array, model: Array, applies: BoolArray
+) -> Predicted:
+    """Return one equation of a recording.
+
+    Args:
+        view: The recording.
+        equation: Name of the equation.
+        measured: Measured side at the full rate, shape (m,).
+        model: Modelled side at the full rate, shape (m,).
+        applies: Mask of the filter outputs at which the equation applies, shape (n,).
+    """
+    series = (np.where(applies, view.low_pass(side), np.nan) for side in (measured, model))
+    return Predicted(equation, view.recording.name, view.recording.role, view.kept_times, *series)
+
+
+def predicted_torque(view: View, nominal: NominalTorque) -> Predicted:
+    """Return the torque equation of the nominal model, in steady motion: drive torque (measured)
+    and the torque that the motion requires less that of known loads.
+    """
+    asked = nominal.torque(view) - view.known
+    return predicted(view, "torque", view.transmitted, asked, view.moving)
+
+
+def predicted_voltage(view: View, model: Array) -> Predicted:
+    """Return the voltage equation with the modelled voltage ``model``, V, shape (m,).
+
+    What samples at instants leave unknown (:data:`INSTANTS`) is fitted in each recording, as its
+    size depends on the time stamps of the recording.
+
+    Raises:
+        ValueError: The recording has no voltage or no current.
+    """
+    if view.voltage is None or view.current is None:
+        raise ValueError(f"{view.recording.name}: no voltage, or no current beside it")
+    lit = view.low_pass.untouched(np.isnan(view.voltage))
+    found = predicted(view, "voltage", np.nan_to_num(view.voltage), model, lit)
+    columns = np.stack([view.low_pass(make(view))[lit] for make in INSTANTS.values()], axis=1)
+    columns = columns[:, np.any(columns != 0.0, axis=0)]
+    if not columns.shape[1] or len(columns) < LEAST_PER_COLUMN * columns.shape[1]:
+        return found
+    part = found.model.copy()
+    part[lit] += columns @ np.linalg.lstsq(columns, (found.measured - found.model)[lit])[0]
+    return replace(found, model=part)
+
+
+def predicted_breakaways(view: View, model: Array) -> Predicted:
+    """Return the torque at the breakaways with the modelled torque ``model``, N m, shape (m,); a
+    breakaway counts less, the faster the torque rises.
+    """
+    weight = sharpness(view)
+    sides = (weight * series[view.breakaways] for series in (np.roll(view.raw_torque, 1), model))
+    recording = view.recording
+    return Predicted(
+        "breakaway", recording.name, recording.role, view.time[view.breakaways], *sides
+    )
+
+
+def relative(parts: Iterable[Predicted]) -> float | None:
+    """Return the norm of the errors over that of the measured side, or None without any error."""
+    error = measured = 0.0
+    for part in parts:
+        off = part.error
+        known = part.measured[np.isfinite(part.measured - part.model)]
+        error += float(off @ off)
+        measured += float(known @ known)
+    return math.sqrt(error / measured) if measured > 0.0 else None

@@ -1,0 +1,131 @@
+"""The reported constants and errors are those of the exported model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.result import Diagnosis, Map, Verdict
+from identification.diagnosis.scored import curve_of, model_with, scores, worse
+from identification.effects.model import CorrectedModel
+from identification.estimate.default import identify
+from identification.recording import Dataset, Recording
+from identification.result import Identification
+
+from .benches import campaign, honest
+
+HIDDEN = {"asymmetric_coulomb": {"torque_Nm": 1.5}}
+
+
+def identified(dataset: Dataset) -> Identification:
+    return identify(dataset, rng=np.random.default_rng(0))
+
+
+@cache
+def of_honest() -> tuple[Diagnosis, Identification]:
+    return diagnose(Dataset(honest()), estimate=identified), identified(Dataset(honest()))
+
+
+@cache
+def of_hidden() -> tuple[Dataset, Diagnosis]:
+    dataset = Dataset(campaign(HIDDEN, 3))
+    return dataset, diagnose(dataset, estimate=identified)
+
+
+def test_without_effects_constants_and_error_are_those_of_the_identification() -> None:
+    found, estimate = of_honest()
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert {n: found.parameters[n] for n in estimate.fitted} == dict(estimate.fitted)
+    for name, shift in found.parameter_shift.items():
+        assert shift.before == shift.after == estimate.parameters[name].value
+    at_that_bandwidth = scores(
+        Dataset(honest()), CorrectedModel(estimate.fitted), estimate.fit.bandwidth_Hz
+    )
+    assert at_that_bandwidth.rms("torque", "fit") == pytest.approx(estimate.fit.train_rms, 1e-12)
+    assert at_that_bandwidth.rms("torque", "validate") == pytest.approx(
+        estimate.fit.validate_rms, 1e-12
+    )
+
+
+def test_printed_errors_are_those_of_the_exported_model() -> None:
+    dataset, found = of_hidden()
+    assert [e.name for e in found.effects] == ["asymmetric_coulomb"]
+    exported = model_with(found.parameters, found.alpha, found.effects, dataset)
+    again = scores(dataset, exported, found.fit.bandwidth_Hz)
+    assert {f.equation for f in found.fits} >= {"torque", "voltage", "transmission"}
+    for fit in found.fits:
+        assert again.rms(fit.equation, "fit") == pytest.approx(fit.final_rms, 1e-9)
+        assert again.rms(fit.equation, "validate") == pytest.approx(fit.validate_final_rms, 1e-9)
+    torque = found.fits[0]
+    assert torque.final_rms < 0.5 * torque.baseline_rms
+    assert torque.baseline_rms >= (torque.nominal_within_limits_rms or 0.0)
+    nominal = scores(dataset, CorrectedModel(identified(dataset).fitted), torque.bandwidth_Hz)
+    assert nominal.rms("torque", "fit") == pytest.approx(torque.baseline_rms, 1e-9)
+
+
+def test_an_estimate_that_fails_is_said_and_the_constants_are_those_of_the_rows() -> None:
+    from identification.recording import RecordingError
+
+    def fails(_dataset: Dataset) -> Identification:
+        raise RecordingError("no motion")
+
+    found = diagnose(Dataset(honest()), estimate=fails)
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert any("no motion" in w for w in found.warnings)
+    assert found.fit.final_rms < 1.2 * found.fit.noise_floor_rms
+
+
+def contact(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    """Return recordings whose torque is mostly that of a controller that fights a contact."""
+    rng = np.random.default_rng(0)
+    out = []
+    for r in recordings:
+        time = r.channels["time"]
+        slow = np.interp(time, time[::400], np.cumsum(rng.normal(0.0, 15.0, len(time[::400]))))
+        out.append(
+            replace(
+                r,
+                channels={**r.channels, "current": r.channels["current"] + slow / 3.0},
+                stage="unloaded",
+                weight_mass=0.0,
+            )
+        )
+    return tuple(out)
+
+
+def test_nothing_is_missing_only_where_the_model_describes_the_machine() -> None:
+    found = diagnose(Dataset(contact(honest())), estimate=identified)
+    torque = next(f for f in found.fits if f.equation == "torque")
+    assert (torque.relative or 0.0) ** 2 > 0.5
+    assert found.verdict is not Verdict.NOTHING_MISSING
+
+
+def map_over(coordinate: str) -> Map:
+    none = np.zeros(2)
+    return Map("torque", coordinate, "rad", "N m", none, none, none, none, none, 0.5)
+
+
+def test_a_curve_is_over_angle_or_speed_and_only_where_it_lowers_the_error_of_other_blocks() -> (
+    None
+):
+    wavy = {"position_dependent_friction": {"torque_Nm": 2.0, "center_rad": 0.1, "width_rad": 0.1}}
+    dataset, plain = Dataset(campaign(wavy, 12, 8.0)), Dataset(honest())
+    found, clean = diagnose(dataset), diagnose(plain)
+    before, none = (
+        scores(d, CorrectedModel(f.parameters), 25.0) for d, f in ((dataset, found), (plain, clean))
+    )
+    over_angle = replace(map_over("angle"), against_motion=True)
+    drawn = curve_of(dataset, before, [over_angle], 25.0)
+    assert drawn is not None
+    assert drawn.value[np.argmin(np.abs(drawn.grid - 0.1))] > 0.5
+    carried = scores(dataset, replace(before.model, curve=drawn), 25.0)
+    assert (carried.rms("torque", "fit") or 9.0) < 0.9 * (before.rms("torque", "fit") or 0.0)
+    assert worse(before, carried, "torque", "fit")
+    assert not worse(carried, before, "torque", "fit")
+    assert curve_of(dataset, before, [map_over("time")], 25.0) is None
+    assert curve_of(plain, none, [map_over("angle")], 25.0) is None
+    assert curve_of(dataset, before, [], 25.0) is None
