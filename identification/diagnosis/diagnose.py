@@ -52,7 +52,7 @@ from identification.diagnosis.scored import (
     scores,
     shifts_of,
     traces_of,
-    winding_constants,
+    unreported_constants,
 )
 from identification.diagnosis.search import Options, Progress, Search, search
 from identification.diagnosis.significance import crowded_recordings, rests_under_torque
@@ -198,9 +198,9 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
     """
     dataset, found, bandwidth = whole.dataset, whole.found, whole.bandwidth
     nominal = whole.nominal._replace(warnings=())
-    alpha, winding = dataset.model.alpha, winding_constants(found.baseline)
+    alpha, beside = dataset.model.alpha, unreported_constants(found.baseline)
     before, within = (
-        scores(dataset, CorrectedModel({**values, **winding}, alpha), bandwidth)
+        scores(dataset, CorrectedModel({**values, **beside}, alpha), bandwidth)
         for values in (nominal.values, constants_of(found.baseline).values)
     )
     after, constants = before, nominal
@@ -215,9 +215,9 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
             if not grown(curved, before, drawn_curve.equation):
                 after = curved
     final = found.final if effects else found.baseline
-    fits = fits_of(found.baseline, final, before, within, after, bandwidth)
-    drawn = judged.maps
-    main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
+    place = judged.maps[0].equation if judged.maps else "torque"
+    fits = fits_of(found.baseline, final, before, within, after, bandwidth, place)
+    main = next((f for f in fits if f.equation == place), fits[0])
     traces = traces_of(found.baseline, before, after)
     return _Shown(effects, before, after, constants, fits, main, traces)
 

@@ -97,23 +97,38 @@ def identified_constants(found: Identification) -> Constants:
     return Constants(dict(found.fitted), known, found.warnings)
 
 
-def winding_constants(joint: Joint) -> dict[str, float]:
-    """Return resistance, ohm, and back-EMF constant, V s/rad, of a fit; empty without a voltage
-    equation.
+def unreported_constants(joint: Joint) -> dict[str, float]:
+    """Return the constants of a fit beside the nominal parameters, which the exported model needs:
+    resistance ``R``, ohm, and back-EMF constant ``Ke``, V s/rad, of a voltage equation; inertia of
+    the rotor at the joint ``J_r``, kg m^2, of a flexible transmission.
     """
-    found = next((e for e in joint.stack.equations if e.name == "voltage"), None)
-    if found is None:
-        return {}
-    rows = joint.stack.part("voltage")
-    left = found.residual / found.sigma
-    for effect in joint.effects:
-        left = left - contribution(joint.stack, effect)[rows]
-    scale = np.linalg.norm(found.tangent, axis=0)
-    scale[scale == 0.0] = 1.0
-    moved = least_squares(found.tangent / scale, left * found.sigma) / scale
-    bench = found.views[0].recording.bench
-    known = {"R": bench.resistance or 0.0, "Ke": bench.back_emf_constant or 0.0}
-    return {n: known[n] + float(m) for n, m in zip(found.names, moved, strict=True) if n in known}
+    out: dict[str, float] = {}
+    for found in joint.stack.equations:
+        if found.name not in ("torque", "voltage"):
+            continue
+        own = [n for n in found.names if n not in joint.nominal.free]
+        if not own:
+            continue
+        rows = joint.stack.part(found.name)
+        left = found.residual / found.sigma
+        for effect in joint.effects:
+            left = left - contribution(joint.stack, effect)[rows]
+        columns = found.tangent[:, [n in own for n in found.names]]
+        scale = np.linalg.norm(columns, axis=0)
+        scale[scale == 0.0] = 1.0
+        moved = least_squares(columns / scale, left * found.sigma) / scale
+        bench = found.views[0].recording.bench
+        known = {
+            "R": ("R", bench.resistance),
+            "Ke": ("Ke", bench.back_emf_constant),
+            "rotor": ("J_r", 0.0),
+        }
+        out |= {
+            known[n][0]: (known[n][1] or 0.0) + float(m)
+            for n, m in zip(own, moved, strict=True)
+            if n in known
+        }
+    return out
 
 
 def model_with(
@@ -147,8 +162,8 @@ def reported(
 
     Candidates are the constants of the fit that found the effects and, with ``refine``, those of
     the default estimator after the effects were subtracted, which resolve the fall of friction with
-    speed. The latter are taken unless their torque error is larger. If no effect enters the torque
-    equation, the constants are those before.
+    speed. The latter are taken unless their torque error is larger. If no effect changes the torque
+    or the motion that friction depends on, the constants are those before.
 
     Args:
         dataset: All recordings.
@@ -159,15 +174,16 @@ def reported(
         refine: Whether the default estimator is used.
         rng: Random generator of the default estimator.
     """
-    winding, alpha = winding_constants(final), final.nominal.fitted_alpha or final.nominal.alpha
-    acting = any({"torque", "breakaway"} & {*EFFECTS[e.name].columns} for e in effects)
+    beside, alpha = unreported_constants(final), final.nominal.fitted_alpha or final.nominal.alpha
+    terms = [EFFECTS[e.name] for e in effects]
+    acting = any(t.flexible or {"torque", "breakaway"} & {*t.columns} for t in terms)
 
     def scored(constants: Constants) -> tuple[Scores, Constants]:
-        model = model_with({**constants.values, **winding}, alpha, effects, dataset)
+        model = model_with({**constants.values, **beside}, alpha, effects, dataset)
         return _settled(dataset, scores(dataset, model, bandwidth_Hz), constants, bandwidth_Hz)
 
     if not acting:
-        model = model_with({**before.values, **winding}, alpha, effects, dataset)
+        model = model_with({**before.values, **beside}, alpha, effects, dataset)
         return scores(dataset, model, bandwidth_Hz), before
     best = scored(constants_of(final))
     samples = sum(len(r.time) for r in dataset.part("fit"))
@@ -265,8 +281,10 @@ def fits_of(
     within: Scores,
     after: Scores,
     bandwidth_Hz: float,
+    main: str,
 ) -> tuple[Fit, ...]:
-    """Return the errors of every equation that the fit has.
+    """Return the errors of every equation that the fit has; of an equation at instants only if it
+    is the main equation.
 
     The noise floor is what no model can explain: the noise of the rows that remains with the
     effects, where it is lower than without.
@@ -278,9 +296,12 @@ def fits_of(
         within: Errors of the nominal model with the constants of ``baseline``.
         after: Errors of the corrected model.
         bandwidth_Hz: Bandwidth of the errors.
+        main: Name of the equation in which the mismatch is judged.
     """
     out = []
     for equation in baseline.equations:
+        if equation.name in AT_INSTANTS and equation.name != main:
+            continue
         pairs = [s.rms(equation.name, "fit") for s in (before, after)]
         if None in pairs:
             continue

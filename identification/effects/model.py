@@ -74,7 +74,8 @@ class CorrectedModel:
     Attributes:
         parameters: Nominal parameters, name to value; parameters that are absent count as 0.
             ``R`` and ``Ke`` replace the resistance, ohm, and the back-EMF constant, V s/rad, of the
-            bench.
+            bench; ``J_r`` is the part of the inertia that moves with the motor behind a flexible
+            transmission.
         alpha: Stribeck exponent.
         effects: Name of each effect to its parameters; an effect that occurs in one recording only
             has the parameter ``recording``, the number of this recording, counted from 1.
@@ -145,7 +146,8 @@ class CorrectedModel:
     def torque(self, view: View) -> Array:
         """Return the torque that the motion requires, N m at the joint, shape (n,)."""
         found = [r for r in self.responses("torque") if not r.effect.on_drive]
-        total = self._sum(self.nominal.torque(view), found, view)
+        rigid = self.nominal.torque(view) + self.parameters.get("J_r", 0.0) * view.twist
+        total = self._sum(rigid, found, view)
         return total + carried(self.curve, "torque", view)
 
     def drive(self, view: View) -> Array:
