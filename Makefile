@@ -67,8 +67,9 @@ test: $(VENV)/.dev  ## lint, types, import directions, tests
 	@$(MAKE) --no-print-directory -j2 lint kernels
 	$(BIN)/pytest -n auto --dist worksteal -m "not proof"
 
-proofs: $(VENV)/.dev  ## the tests that measure accuracy on whole benches and recordings, which make test leaves out
+proofs: $(VENV)/.dev  ## accuracy on whole benches and recordings, which make test leaves out; properties with new examples
 	$(BIN)/pytest -n auto --dist worksteal -m proof
+	HYPOTHESIS_PROFILE=random $(BIN)/pytest -n auto --dist worksteal -m "hypothesis and not proof"
 
 plan-study: $(VENV)/.runtime  ## what proposed experiments gain on random benches
 	$(BIN)/python benchmarks/plan_study.py --benches 20
