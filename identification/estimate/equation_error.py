@@ -17,13 +17,12 @@ from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import (
     Prepared,
-    default_bandwidth,
-    prepare,
+    joint_angle,
     uniform_grid,
     volts_per_torque,
 )
 from identification.recording import Model, Recording, RecordingError
-from identification.signals import resample
+from identification.signals import quantum, resample
 
 HIGHEST_SHARE = 1.0 / 3.0
 """Greatest Stribeck speed that is tried, relative to the greatest recorded speed; with a higher
@@ -45,12 +44,33 @@ def _moving(p: Prepared) -> BoolArray:
     return np.asarray(p.used & (p.velocity != 0.0))
 
 
+SURE_REVERSAL = 0.01
+"""Least way back that counts as a reversal, as a share of the travel, and at least three steps of
+the encoder.
+"""
+
+
+def _reversals(p: Prepared) -> int:
+    """Return how often the joint turns back, by more than the noise of its encoder."""
+    angle = joint_angle(p.recording)
+    if angle is None:
+        angle = np.cumsum(p.raw_velocity) * p.recording.period
+    least = max(3.0 * quantum(angle), SURE_REVERSAL * float(np.ptp(angle)))
+    count, low, high, way = 0, angle[0], angle[0], 0
+    for value in angle:
+        low, high = min(low, value), max(high, value)
+        if value - low > least and way <= 0:
+            count, way, high = count + (way < 0), 1, value
+        elif high - value > least and way >= 0:
+            count, way, low = count + (way > 0), -1, value
+        low, high = (value if way < 0 else low), (value if way > 0 else high)
+    return count
+
+
 def _reversals_per_s(prepared: Sequence[Prepared]) -> float:
     """Return the mean number of reversals per second of motion, over all recordings."""
-    moving = [p.raw_velocity[p.raw_velocity != 0.0] for p in prepared]
-    seconds = sum(len(v) * p.recording.period for v, p in zip(moving, prepared, strict=True))
-    count = sum(int(np.count_nonzero(np.diff(np.sign(v)))) for v in moving)
-    return count / seconds if seconds > 0.0 else 0.0
+    seconds = sum(int(np.count_nonzero(p.raw_velocity)) * p.recording.period for p in prepared)
+    return sum(map(_reversals, prepared)) / seconds if seconds > 0.0 else 0.0
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
@@ -64,13 +84,20 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
         bandwidth, reversals = prepared[0].bandwidth_Hz, _reversals_per_s(prepared)
-        remedy = (
-            f"the motion reverses {reversals:.3g} times per second, so that nearly every window of "
-            "the filter contains rest; choose a greater bandwidth, or add recordings with fewer "
-            "reversals per second"
-            if reversals > bandwidth
-            else "add recordings in which the joint moves longer or further"
-        )
+        in_motion = sum(int(np.count_nonzero(p.raw_velocity)) for p in prepared)
+        rests = "nearly every window of the filter contains rest; choose a greater bandwidth, or"
+        if reversals > bandwidth:
+            remedy = (
+                f"the motion reverses {reversals:.3g} times per second, so that {rests} add "
+                "recordings with fewer reversals per second"
+            )
+        elif in_motion >= LEAST_MOTION:
+            remedy = (
+                f"the joint moves and rests in turn ({reversals:.2g} reversals per second), so "
+                f"that {rests} add recordings in which the joint moves longer without a rest"
+            )
+        else:
+            remedy = "add recordings in which the joint moves longer or further"
         raise RecordingError(
             f"{names}: at a bandwidth of {bandwidth:.3g} Hz, {count} samples are in motion; a fit "
             f"needs at least {LEAST_MOTION} samples in motion: {remedy}"
@@ -364,42 +391,6 @@ def solve(design: Callable[[float], Design], low: float, high: float) -> Solutio
         coefficient_history=np.array([t[2] for t in tried]),
         cost_history=np.array([t[0] for t in tried]),
     )
-
-
-BANDWIDTH_STEP = 1.25
-"""Ratio of successive bandwidths that are tried."""
-SHARE_OF_RATE = 1.0 / 6.0
-"""Greatest bandwidth that is tried, relative to the sampling rate."""
-
-
-def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf) -> float:
-    """Return the least of the recordings' default bandwidths, Hz, or the least greater bandwidth at
-    which the greatest number of stages have enough samples in motion.
-
-    If the time between two reversals is shorter than the filter, no filter window is without rest,
-    and no sample is in motion. A stage without a sample in motion at any bandwidth does not affect
-    the bandwidth of the other stages.
-
-    Args:
-        recordings: At least one recording.
-        most_Hz: Upper limit of the default bandwidths, Hz.
-    """
-    least = min(most_Hz, *(default_bandwidth(r) for r in recordings))
-    greatest = SHARE_OF_RATE / max(r.period for r in recordings)
-    tried, chosen, most = least, least, 0
-    while tried <= greatest:
-        prepared = [prepare(r, tried) for r in recordings]
-        stages = [
-            [p for p in prepared if p.recording.stage == stage]
-            for stage in {r.stage for r in recordings}
-        ]
-        enough = sum(samples_in_motion(stage) >= LEAST_MOTION for stage in stages)
-        if enough > most:
-            chosen, most = tried, enough
-        if enough == len(stages):
-            break
-        tried *= BANDWIDTH_STEP
-    return chosen
 
 
 BLOCK_CORRELATION_TIMES = 10.0
