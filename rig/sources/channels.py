@@ -261,8 +261,8 @@ def starts_again(values: Array) -> Turn | None:
     turns = np.abs(steps[rows] - moved)
     rms = float(np.sqrt(np.mean(noise**2))) if noise.size else 0.0
     whole = bool(np.all(known == np.rint(known)))
-    # The error of a turn is that of a second difference; noise makes the jumps themselves uneven.
-    uncertainty = float(rms * max(3.0 / np.sqrt(len(rows)), 1.5) + 0.5 * whole + 1e-6 * span)
+    # The error of a turn is that of a second difference, and of counts half a count.
+    uncertainty = 2.0 * rms + 0.5 * whole + 1e-6 * span
     return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
 
 
