@@ -56,14 +56,13 @@ def _reversals(p: Prepared) -> int:
     if angle is None:
         angle = np.cumsum(p.raw_velocity) * p.recording.period
     least = max(3.0 * quantum(angle), SURE_REVERSAL * float(np.ptp(angle)))
-    count, low, high, way = 0, angle[0], angle[0], 0
+    count, way, low, high = 0, 0, angle[0], angle[0]
     for value in angle:
         low, high = min(low, value), max(high, value)
-        if value - low > least and way <= 0:
+        if way <= 0 and value - low > least:
             count, way, high = count + (way < 0), 1, value
-        elif high - value > least and way >= 0:
+        elif way >= 0 and high - value > least:
             count, way, low = count + (way > 0), -1, value
-        low, high = (value if way < 0 else low), (value if way > 0 else high)
     return count
 
 
