@@ -320,7 +320,7 @@ class ChannelSection(Schema):
     offset: float = 0.0
     average: bool = False
     unsigned: bool = False
-    wraps_after: Constant | None = None
+    wraps_after: Annotated[PositiveFloat, Field(allow_inf_nan=False)] | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -200,7 +200,7 @@ def _in_window(values: Array, modulus: float) -> bool:
     return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
 
 
-JUMP, ORDINARY = 0.75, 0.25
+JUMP, ORDINARY = 0.6, 0.4
 """Least jump at which an angle starts again, and greatest other step, as shares of its range."""
 SLOPE_SAMPLES = 20
 """Number of samples on either side of a jump over which the motion there is measured."""

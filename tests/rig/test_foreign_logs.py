@@ -193,7 +193,7 @@ def load_turning(folder: Path, values: np.ndarray, key: str = "") -> Recording:
 
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("zero", [0.0, 0.5])
-@pytest.mark.parametrize("per_turn", [0.7, 6.3])
+@pytest.mark.parametrize("per_turn", [0.7, 6.3, 55.0])
 def test_an_angle_that_starts_again_is_asked_for_and_continued(
     tmp_path: Path, turn: float, zero: float, per_turn: float
 ) -> None:
@@ -212,7 +212,7 @@ def test_an_angle_that_starts_again_is_asked_for_and_continued(
 @given(
     turn=st.one_of(st.sampled_from([1.0, 2 * np.pi, 360.0]), st.integers(500, 65536).map(float)),
     zero=st.floats(0.0, 1.0),
-    swing=st.floats(0.6, 8.0),
+    swing=st.floats(0.6, 60.0),
     scatter=st.floats(0.0, 5e-4),
     seed=st.integers(0, 99),
 )
@@ -230,12 +230,13 @@ def test_any_turn_is_found_at_its_jumps(
             assert abs(turn / 2.0**bits - 1.0) < 0.02, "no width in bits but the right one"
 
 
-@given(seed=st.integers(0, 999), kind=st.sampled_from(["moves", "switches", "glitch", "noise"]))
-@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 999), kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]))
+@settings(max_examples=150, deadline=None)
 def test_an_angle_that_does_not_start_again_is_left_alone(seed: int, kind: str) -> None:
     noise = np.random.default_rng(seed)
     angle = {
         "moves": np.sin(5.0 * LONG),
+        "quick": np.sin((300.0 + 2.0 * seed) * LONG + seed),
         "switches": np.sign(np.sin(9.0 * LONG)) + 1e-3 * noise.standard_normal(len(LONG)),
         "glitch": 0.1 * np.sin(5.0 * LONG) + 9.0 * (np.arange(len(LONG)) == 700 + seed),
         "noise": noise.standard_normal(len(LONG)),
