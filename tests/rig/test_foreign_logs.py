@@ -230,7 +230,10 @@ def test_any_turn_is_found_at_its_jumps(
             assert abs(turn / 2.0**bits - 1.0) < 0.02, "no width in bits but the right one"
 
 
-@given(seed=st.integers(0, 999), kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]))
+@given(
+    seed=st.integers(0, 999),
+    kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]),
+)
 @settings(max_examples=150, deadline=None)
 def test_an_angle_that_does_not_start_again_is_left_alone(seed: int, kind: str) -> None:
     noise = np.random.default_rng(seed)
