@@ -104,6 +104,7 @@ def identify(
     model = dataset.model
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
+    doubts = varpro.averaging(active, values, names, model.alpha)
     tell("joint", 0.0)
     found = refine(
         lambda correlated: refine_recordings(fitted, values, names, model, correlated, tell),
@@ -119,7 +120,7 @@ def identify(
     whole = replace(
         found,
         stages=(*stages, *found.stages),
-        warnings=(*found.warnings, *notes, *short, *_unresolved(active)),
+        warnings=(*found.warnings, *notes, *short, *doubts, *_unresolved(active)),
     )
     result = identification(dataset, [(p.recording, [p]) for p in every], whole)
     seconds = perf_counter() - started

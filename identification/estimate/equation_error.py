@@ -5,19 +5,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
 
 from identification.model.friction import stribeck_shape, system_friction
 from identification.model.parameters import LADDER, bears_load, rises
-from identification.numerics.arrays import Array, BoolArray
+from identification.numerics.arrays import Array, BoolArray, IntArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import (
     Prepared,
     joint_angle,
+    prepare,
     uniform_grid,
     volts_per_torque,
 )
@@ -409,10 +411,30 @@ def block_sandwich(
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)
+    rows = _linearised(prepared, values, names, alpha)
+    return Spread(tuple(names), *_sandwich(rows, rows.residual))
+
+
+class _Rows(NamedTuple):
+    """Derivatives of the torque equation, (n, p), its residual, (n,), and the block of each row."""
+
+    jacobian: Array
+    residual: Array
+    owner: IntArray
+
+
+def _linearised(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    alpha: float,
+    others: Sequence[Array] = (),
+) -> _Rows:
+    """Return the rows of all recordings; ``others`` holds one more column for each recording."""
     jacobians, residuals, owners = [], [], []
     blocks = 0
     total = sum(int(np.sum(p.used)) for p in prepared)
-    for p in prepared:
+    for k, p in enumerate(prepared):
         used = p.used
         if not np.any(used):
             continue
@@ -424,6 +446,7 @@ def block_sandwich(
             columns.append(
                 (model_torque(p, {**values, name: values[name] + step}, alpha) - here)[used] / step
             )
+        columns += [others[k][used]] if others else []
         length = max(1, round(BLOCK_CORRELATION_TIMES * correlation_samples(residual)))
         length = max(1, min(length, total // LEAST_BLOCKS))
         count = max(1, round(len(residual) / length))
@@ -434,24 +457,75 @@ def block_sandwich(
         blocks += count
         jacobians.append(np.column_stack(columns))
         residuals.append(residual)
-    jacobian, residual, owner = (
-        np.concatenate(jacobians),
-        np.concatenate(residuals),
-        np.concatenate(owners),
-    )
-    count = len(names)
+    return _Rows(np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(owners))
+
+
+def _sandwich(rows: _Rows, residual: Array) -> tuple[Array, float]:
+    """Return the covariance of all columns, clustered by blocks, and its degrees of freedom."""
+    jacobian, blocks = rows.jacobian, int(rows.owner[-1]) + 1
+    count = jacobian.shape[1]
     scale = np.linalg.norm(jacobian, axis=0)
     blind = scale == 0.0
     scale[blind] = 1.0
     scaled = jacobian / scale
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     scores = np.zeros((blocks, count))
-    np.add.at(scores, owner, scaled * residual[:, None])
+    np.add.at(scores, rows.owner, scaled * residual[:, None])
     freedom = max(blocks - count, 3)
     covariance = bread @ (scores.T @ scores) @ bread * blocks / freedom / np.outer(scale, scale)
     covariance[blind, :] = covariance[:, blind] = 0.0
     covariance[blind, blind] = math.inf
-    return Spread(tuple(names), covariance, float(freedom))
+    return covariance, float(freedom)
+
+
+SURE_MEAN, NEAR_MEAN = 0.1, 0.25
+"""Greatest standard error of the measured shift of the drive channel, and greatest distance from
+half a period, both in half periods, at which a warning states the shift.
+"""
+
+
+def averaging(
+    prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
+) -> tuple[str, ...]:
+    """Return a warning if the recordings show that the samples of the torque or current are means
+    over the sample period although the recordings state instants, or the reverse.
+
+    The mean over the period that ends at a sample is the value half a period earlier. The shift of
+    the drive's torque is fitted as one more parameter, with the covariance of
+    :func:`block_sandwich`.
+    """
+    drives = {
+        next((c for c in ("torque", "current") if c in p.recording.channels), "") for p in prepared
+    }
+    (name, *others) = drives
+    stated = {name in p.recording.averaged for p in prepared}
+    if not name or others or len(stated) > 1 or not names:
+        return ()
+    shifts = []
+    for p in prepared:
+        other = replace(p.recording, averaged=p.recording.averaged ^ {name})
+        shifts.append(p.torque - prepare(other, p.bandwidth_Hz).torque)
+    rows = _linearised(prepared, values, names, alpha, shifts)
+    scale = np.linalg.norm(rows.jacobian, axis=0)
+    if scale[-1] == 0.0:
+        return ()
+    scale[scale == 0.0] = 1.0
+    step = np.linalg.lstsq(rows.jacobian / scale, rows.residual)[0] / scale
+    covariance, _ = _sandwich(rows, rows.residual - rows.jacobian @ step)
+    shift, error = float(step[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    if error > SURE_MEAN or abs(shift - 1.0) > NEAR_MEAN:
+        return ()
+    found, key = (
+        ("values at its time", "false")
+        if stated.pop()
+        else ("means over the period that ends at its time", "true")
+    )
+    return (
+        f"`{name}`: by the recordings its samples are {found} (measured shift {shift:.2f} +- "
+        f"{1.645 * error:.2f} of the half period between the two): if this is so, state "
+        f"`average: {key}` at the channel; J and sigma_2 depend on it, and their intervals do not "
+        "include it",
+    )
 
 
 INPUTS = ("command", "feedforward", "load_force")
