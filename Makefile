@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand one-model
 .DEFAULT_GOAL := help
 
 help:
@@ -134,6 +134,9 @@ moments: $(VENV)/.dev  ## 200 random moments each of what befalls run, guardian,
 
 units: $(VENV)/.dev  ## 100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion
 	$(BIN)/python -m tests.long.units
+
+one-model: $(VENV)/.dev  ## the errors that are printed are those of the exported model, on campaigns (CAMPAIGNS="a.yaml b.yaml")
+	$(BIN)/python -m tests.long.one_model $(CAMPAIGNS)
 
 durand: $(VENV)/.dev  ## check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects
 	$(BIN)/python -m tests.long.durand_peer

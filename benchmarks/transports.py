@@ -35,9 +35,8 @@ from drivers.epos.link import EposSerialLink
 from drivers.errors import DeviceError
 from drivers.interfaces import Encoder, Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
-from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.drive import DRIVE_EDS, SimulatedEposPort
 from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
-from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
 from drivers.serial_port import PySerialPort
 from drivers.units import EncoderScales, ServoScales

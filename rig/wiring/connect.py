@@ -32,9 +32,8 @@ from drivers.mock.bench import (
     simulated_can_bench,
     simulated_dbc_bench,
 )
-from drivers.mock.drive import Rating
+from drivers.mock.drive import Rating, SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
-from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.makes import described_drive
 from drivers.mock.plant.parts import constants
 from drivers.mock.wires.serial_line import SimulatedLine, Station

@@ -18,9 +18,8 @@ from drivers.clock import Clock
 from drivers.epos.link import FASTEST_1_S, EposSerialLink, EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
-from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.drive import DRIVE_EDS, SimulatedEposPort
 from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
-from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
 from drivers.mock.wires.serial_line import SimulatedLine
 from drivers.serial_port import BytePort

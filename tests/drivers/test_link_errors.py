@@ -26,8 +26,7 @@ from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import Link, RawFrame, Servo
 from drivers.mock.bench import DRIVE_NODE, simulated_bench, simulated_dbc_bench
 from drivers.mock.dbc_drive import DRIVE_DBC
-from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.drive import DRIVE_EDS, SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.wires.serial_line import SimulatedLine
 from drivers.port_errors import close_all, is_gone, os_errors, words

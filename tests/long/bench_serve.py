@@ -42,8 +42,8 @@ from drivers.mock.bench import (
     simulated_bench,
     simulated_dbc_bench,
 )
+from drivers.mock.drive import SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
-from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.wires.bus import Timer
 from drivers.mock.wires.serial_line import Station
 from rig.config.bench import load_bench

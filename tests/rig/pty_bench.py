@@ -19,8 +19,8 @@ import yaml
 import drivers.mock
 from benchmarks.adapters import LawicelAdapter, RealTimeBench
 from drivers.mock.bench import simulated_bench
+from drivers.mock.drive import SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
-from drivers.mock.epos_serial import SimulatedEposPort
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 

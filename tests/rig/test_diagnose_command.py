@@ -14,11 +14,9 @@ from markupsafe import escape
 
 import rig.results.diagnose.diagnose
 from identification.diagnosis.observable import Observable
-from identification.diagnosis.result import Diagnosis, Shift
+from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
-from identification.effects.model import CorrectedModel
-from identification.recording import Dataset, RecordingError
-from identification.result import Fit, Identification, Parameter
+from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.results.diagnose import document
@@ -168,72 +166,6 @@ def test_the_corrected_model_lies_beside_the_report(
     hidden = load_bench(out / "bench.yaml").value.mock
     assert hidden is not None
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_refined_values_take_the_place_of_the_search_s(
-    campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    free = {"mu_s": Shift(None, None, "1"), "Ms": Shift(12.1, 12.0, "N m")}
-    asked = {**PLAIN.parameter_shift, **free}
-    found(dataclasses.replace(PLAIN, parameter_shift=asked))
-    values = {"Mc": 6.7, "Ms": 12.0, "mu_c": 0.053, "J": 0.21, "mu_s": None}
-    parameters = {n: Parameter(n, "", v, identifiable=v is not None) for n, v in values.items()}
-    taken_out: list[tuple[str, ...]] = []
-
-    def refit(
-        dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float, _rng: np.random.Generator
-    ) -> Identification:
-        taken_out.append(tuple(model.effects))
-        return Identification(
-            "default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",)
-        )
-
-    monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
-    file = tmp_path / "found.json"
-    arguments = ["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]
-    assert status(arguments) == 0
-    record = json.loads(file.read_text())
-    assert taken_out == [("backlash", "quadratic_drag")]
-    assert (record["parameters"]["Mc"], record["parameters"]["J"]) == (6.7, 0.21)
-    assert (record["parameters"]["mu_s"], record["parameters"]["Ms"]) == (0.053, 12.0)
-    assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
-    assert record["warnings"][-2:] == [
-        "nominal parameters fitted again: hm",
-        "mu_s is not determined by these recordings; the corrected model sets it equal to mu_c",
-    ]
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(("most", "refined"), [(10, False), (10_000, True)])
-def test_many_samples_are_not_refined_and_said_so(
-    campaign: Path,
-    tmp_path: Path,
-    found: Arrange,
-    monkeypatch: pytest.MonkeyPatch,
-    most: int,
-    refined: bool,
-) -> None:
-    asked: list[Dataset] = []
-
-    def refit(
-        dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float, _rng: np.random.Generator
-    ) -> Identification:
-        asked.append(dataset)
-        raise RecordingError("no motion")
-
-    found(PLAIN)
-    monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
-    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", most)
-    file = tmp_path / "found.json"
-    arguments = ["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]
-    assert status(arguments) == 0
-    assert bool(asked) == refined
-    record = json.loads(file.read_text())
-    warnings = record["warnings"]
-    assert any("less precise than those of rig identify" in w for w in warnings) != refined
-    assert ("the nominal parameters were not fitted again: no motion" in warnings) == refined
-    assert record["parameters"]["Mc"] == PLAIN.parameters["Mc"]
 
 
 @pytest.mark.usefixtures("undrawn")

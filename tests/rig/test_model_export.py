@@ -15,8 +15,9 @@ import yaml
 
 from identification.effects import EFFECTS, MOTION
 from identification.effects.model import CorrectedModel, Curve, carried
+from identification.export.python import python_text
 from identification.recording import Bench, Recording
-from rig.results.diagnose.exports import python_text, yaml_text
+from rig.results.diagnose.exports import yaml_text
 
 PARAMETERS = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,

@@ -19,7 +19,7 @@ from benchmarks.adapters import RealTimeBench
 from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.bench import simulated_bench
-from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.drive import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
 from rig.cli.commands.bench import GOES_ON

@@ -100,8 +100,9 @@ def test_what_is_in_no_catalogue_gets_no_name(which: Sequence[int]) -> None:
     found = of(tuple(every[k] for k in which))
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert found.effects == ()
-    assert found.curve is not None
     assert found.location is not None
+    # A torque of the clock has no curve that a simulation could use.
+    assert found.curve is None or found.curve.coordinate != "time"
 
 
 def test_without_a_recording_to_fit_it_says_so() -> None:

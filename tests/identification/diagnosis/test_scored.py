@@ -8,13 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from identification.diagnosis import scored
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis, Map, Verdict
 from identification.diagnosis.scored import curve_of, model_with, scores, worse
 from identification.effects.model import CorrectedModel
 from identification.estimate.default import identify
-from identification.recording import Dataset, Recording
-from identification.result import Identification
+from identification.recording import Dataset, Recording, RecordingError
+from identification.result import Identification, Parameter
 
 from .benches import campaign, honest
 
@@ -30,10 +31,15 @@ def of_honest() -> tuple[Diagnosis, Identification]:
     return diagnose(Dataset(honest()), estimate=identified), identified(Dataset(honest()))
 
 
+def of_honest_machine(_dataset: Dataset) -> Identification:
+    """Return the constants of the machine that hides nothing: the nominal part of the others."""
+    return of_honest()[1]
+
+
 @cache
 def of_hidden() -> tuple[Dataset, Diagnosis]:
-    dataset = Dataset(campaign(HIDDEN, 3))
-    return dataset, diagnose(dataset, estimate=identified)
+    dataset = Dataset(campaign(HIDDEN, 3, 6.0))
+    return dataset, diagnose(dataset)
 
 
 def test_without_effects_constants_and_error_are_those_of_the_identification() -> None:
@@ -60,16 +66,74 @@ def test_printed_errors_are_those_of_the_exported_model() -> None:
     for fit in found.fits:
         assert again.rms(fit.equation, "fit") == pytest.approx(fit.final_rms, 1e-9)
         assert again.rms(fit.equation, "validate") == pytest.approx(fit.validate_final_rms, 1e-9)
-    torque = found.fits[0]
-    assert torque.final_rms < 0.5 * torque.baseline_rms
-    assert torque.baseline_rms >= (torque.nominal_within_limits_rms or 0.0)
-    nominal = scores(dataset, CorrectedModel(identified(dataset).fitted), torque.bandwidth_Hz)
-    assert nominal.rms("torque", "fit") == pytest.approx(torque.baseline_rms, 1e-9)
+    assert found.fits[0].final_rms < 0.5 * found.fits[0].baseline_rms
+
+
+def estimate_with(found: Diagnosis, **changes: float | None) -> Identification:
+    """Return an identification with the constants of a diagnosis, but for some."""
+    values = {n: v for n, v in found.parameters.items() if n in found.parameter_shift}
+    values |= {n: v for n, v in changes.items() if v is not None}
+    known = {n: changes.get(n, v) for n, v in values.items()}
+    plain = of_honest()[1]
+    return replace(
+        plain,
+        fitted=values,
+        parameters={n: Parameter(n, "", v, identifiable=v is not None) for n, v in known.items()},
+        warnings=("hm",),
+    )
+
+
+@pytest.mark.parametrize("share", [1.0, 1.5])
+def test_refined_constants_are_reported_unless_their_error_is_larger(
+    monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    dataset, plain = of_hidden()
+    refined = estimate_with(plain, J=share * 1.0001 * plain.parameters["J"])
+    monkeypatch.setattr(scored, "refit", lambda *_: refined)
+    found = diagnose(dataset, estimate=of_honest_machine)
+    given = of_honest()[1]
+    assert found.parameter_shift["J"].before == given.parameters["J"].value
+    nominal = scores(dataset, CorrectedModel(given.fitted), found.fit.bandwidth_Hz)
+    assert nominal.rms("torque", "fit") == pytest.approx(found.fits[0].baseline_rms, 1e-9)
+    taken = found.parameters["J"] == refined.fitted["J"]
+    assert taken == (share == 1.0)
+    assert any("hm" in w for w in found.warnings if "again" in w) == taken
+
+
+def test_a_rise_that_is_not_determined_is_left_out_and_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dataset, plain = of_hidden()
+    refined = replace(
+        estimate_with(plain, mu_s=None),
+        fitted={**estimate_with(plain).fitted, "mu_s": 1.0005 * plain.parameters["mu_c"]},
+    )
+    monkeypatch.setattr(scored, "refit", lambda *_: refined)
+    found = diagnose(dataset, estimate=of_honest_machine)
+    assert found.parameter_shift["mu_s"].after is None
+    assert found.parameters["mu_s"] == found.parameters["mu_c"]
+    assert any(w.startswith("mu_s is not determined") for w in found.warnings)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_constants_that_are_not_refined_are_said(
+    monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    dataset, plain = of_hidden()
+
+    def refit(*_arguments: object) -> Identification:
+        raise RecordingError("no motion")
+
+    monkeypatch.setattr(scored, "refit", refit)
+    if not fails:
+        monkeypatch.setattr(scored, "REFINED_SAMPLES", 10)
+    found = diagnose(dataset, estimate=of_honest_machine)
+    assert any("less precise than those of rig identify" in w for w in found.warnings) != fails
+    assert any(w.endswith("not fitted again: no motion") for w in found.warnings) == fails
+    assert found.parameters["J"] == plain.parameters["J"]
 
 
 def test_an_estimate_that_fails_is_said_and_the_constants_are_those_of_the_rows() -> None:
-    from identification.recording import RecordingError
-
     def fails(_dataset: Dataset) -> Identification:
         raise RecordingError("no motion")
 
@@ -98,7 +162,7 @@ def contact(recordings: tuple[Recording, ...]) -> tuple[Recording, ...]:
 
 
 def test_nothing_is_missing_only_where_the_model_describes_the_machine() -> None:
-    found = diagnose(Dataset(contact(honest())), estimate=identified)
+    found = diagnose(Dataset(contact(honest())))
     torque = next(f for f in found.fits if f.equation == "torque")
     assert (torque.relative or 0.0) ** 2 > 0.5
     assert found.verdict is not Verdict.NOTHING_MISSING
@@ -109,9 +173,7 @@ def map_over(coordinate: str) -> Map:
     return Map("torque", coordinate, "rad", "N m", none, none, none, none, none, 0.5)
 
 
-def test_a_curve_is_over_angle_or_speed_and_only_where_it_lowers_the_error_of_other_blocks() -> (
-    None
-):
+def test_a_curve_is_over_angle_or_speed_where_it_lowers_the_error_of_other_blocks() -> None:
     wavy = {"position_dependent_friction": {"torque_Nm": 2.0, "center_rad": 0.1, "width_rad": 0.1}}
     dataset, plain = Dataset(campaign(wavy, 12, 8.0)), Dataset(honest())
     found, clean = diagnose(dataset), diagnose(plain)
