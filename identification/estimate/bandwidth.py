@@ -24,7 +24,7 @@ SHARE_OF_RATE, SLOW_SHARE_OF_RATE = 1.0 / 6.0, 0.4
 which no lower bandwidth leaves enough samples in motion.
 """
 MOST_SHORT = 0.1
-"""Greatest share of the samples that may be in recordings shorter than the filter."""
+"""Greatest share of the samples that may be in pieces of files that are shorter than the filter."""
 NAMED = 3
 """Greatest number of recordings that a warning lists by name."""
 
@@ -88,8 +88,8 @@ def common_bandwidth(
     moving: Callable[[Sequence[Recording], float], int] = moving_samples,
 ) -> float:
     """Return the least of the recordings' default bandwidths, Hz, or the least greater bandwidth at
-    which the greatest number of stages have enough samples in motion, and at most a small part of
-    the recordings is shorter than the filter.
+    which the greatest number of stages have enough samples in motion, and no file is shorter than
+    the filter. Of a file that gaps split into pieces, a few short pieces may be.
 
     If the time between two reversals is shorter than the filter, no filter window is without rest,
     and no sample is in motion. A stage without a sample in motion at any bandwidth does not affect
@@ -105,10 +105,12 @@ def common_bandwidth(
     slow = max(SHARE_OF_RATE * rate, min(SLOW_SHARE_OF_RATE * rate, SLOW_BANDWIDTH_HZ))
     stages = {r.stage for r in recordings}
     samples = sum(len(r.time) for r in recordings)
+    files = {r.source or r.name for r in recordings}
     tried, chosen, most = least, least, 0
     while tried <= SHARE_OF_RATE * rate or (most == 0 and tried <= slow):
         usable = [r for r in recordings if _long_enough(r, tried)]
-        if sum(len(r.time) for r in usable) >= (1.0 - MOST_SHORT) * samples:
+        served = files == {r.source or r.name for r in usable}
+        if served and sum(len(r.time) for r in usable) >= (1.0 - MOST_SHORT) * samples:
             parts = [[r for r in usable if r.stage == stage] for stage in stages]
             enough = sum(moving(part, tried) >= LEAST_MOTION for part in parts)
             if enough > most:

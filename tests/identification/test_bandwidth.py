@@ -23,7 +23,7 @@ def with_channels(recording: Recording, **channels: Array | None) -> Recording:
     return replace(recording, channels={k: v for k, v in merged.items() if v is not None})
 
 
-LONG = sine(name="long", rate=100.0, duration=60.0)
+LONG = replace(sine(name="long", rate=100.0, duration=60.0), source="long.csv")
 
 
 def piece(number: int, samples: int, role: str = "fit") -> Recording:
@@ -63,6 +63,13 @@ def test_a_bandwidth_that_was_chosen_serves_all_but_a_small_part(share: float) -
     assert (chosen.bandwidth == low) is (share < 0.1)
     assert len(chosen.dataset.recordings) == 1 + count * (share >= 0.1)
     assert len(chosen.warnings) == (share < 0.1)
+
+
+def test_no_file_is_left_out_as_a_whole() -> None:
+    other = replace(piece(0, 150), source="other.csv")
+    chosen = choose_bandwidth(Dataset((LONG, other)), most_Hz=1.8)
+    assert chosen.bandwidth > 1.8
+    assert [r.name for r in chosen.dataset.recordings] == ["long", "long[0]"]
 
 
 def test_a_stage_is_not_left_out_as_a_whole() -> None:
