@@ -23,7 +23,7 @@ from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.oracle import greedy_bic, library
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.significance import trial_candidates
-from identification.diagnosis.within_limits import bandwidth_of, views_and_fit, within_limits
+from identification.diagnosis.within_limits import choose, views_and_fit, within_limits
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Dataset, RecordingError
@@ -41,8 +41,8 @@ def greedy(dataset: Dataset, equation: str) -> tuple[int, float, float | None]:
     """Return the number of effects that greedy selection takes, and the rms errors of one equation
     on the fitted recordings and on those set aside, None without any.
     """
+    dataset, bandwidth, _ = choose(dataset, None)
     fitted, aside = dataset.part("fit"), dataset.part("validate")
-    bandwidth = bandwidth_of(fitted)
     nominal = views_and_fit(dataset, bandwidth)[1]
     left_out = set(dataset.model.terms)
     terms = [t for t in MOTION if t.name not in left_out]

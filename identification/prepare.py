@@ -331,6 +331,40 @@ def default_bandwidth(recording: Recording) -> float:
     return float(0.1 * top)
 
 
+COARSE_SPEED, FINER = 0.05, 0.5
+"""Least noise of the speed from an encoder, relative to the usual speed, at which the encoder
+counts as coarse, and greatest noise of a recorded velocity relative to it.
+"""
+
+
+def coarser_than_velocity(recording: Recording) -> str:
+    """Return why the recorded velocity gives the better speed than the recorded angle; empty if the
+    angle does, or is needed for a weight that turns.
+
+    At a bandwidth b, white noise of rms s in an angle gives the speed the noise 2 pi b s
+    sqrt(2 b / (3 rate)), and in a velocity s sqrt(2 b / rate).
+    """
+    position, measured = joint_angle(recording), recording.channels.get("velocity")
+    step = 0.0 if position is None else quantum(position)
+    if measured is None or step == 0.0 or recording.pendulum is not None:
+        return ""
+    rate, bandwidth = 1.0 / recording.period, default_bandwidth(recording)
+    size = np.abs(measured)
+    usual = float(np.median(size[size > 0.05 * np.max(size)])) if np.any(size) else 0.0
+    share = math.sqrt(2.0 * bandwidth / rate)
+    coarse = 2.0 * math.pi * bandwidth * share * step / 6.0
+    third = float(np.median(np.abs(np.diff(measured, 3)))) / (0.6745 * math.sqrt(20.0))
+    fine = share * max(third, quantum(measured) / math.sqrt(12.0))
+    if coarse < COARSE_SPEED * usual or fine > FINER * coarse:
+        return ""
+    unit = unit_on(recording.bench.motion, "rad")
+    return (
+        f"the angle is not used, because its steps of {step:.3g} {unit} are coarser than "
+        f"`velocity`: at {bandwidth:.3g} Hz they leave {coarse:.2g} {unit}/s in the speed, which "
+        f"is {usual:.2g} {unit}/s; speed and acceleration are those of `velocity`"
+    )
+
+
 def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared:
     """Compute torque, velocity and acceleration of a recording on an even grid at one bandwidth.
 
@@ -389,13 +423,18 @@ def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz
             f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
             f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
         )
-    _, half = reach(rate, bandwidth_Hz)
-    if samples < 2 * half + 8:
+    least = least_samples(rate, bandwidth_Hz)
+    if samples < least:
         raise RecordingError(
             f"{recording.name}: the recording has {samples} samples, but the filter for a "
-            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {2 * half + 8}; state a higher "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {least}; state a higher "
             "bandwidth"
         )
+
+
+def least_samples(rate: float, bandwidth_Hz: float) -> int:
+    """Return the least number of samples of a recording for the filter of a bandwidth, Hz."""
+    return 2 * reach(rate, bandwidth_Hz)[1] + 8 if bandwidth_Hz > 0.0 else 0
 
 
 def _motion(

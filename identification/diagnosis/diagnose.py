@@ -58,7 +58,12 @@ from identification.diagnosis.search import Options, Progress, Search, search
 from identification.diagnosis.significance import crowded_recordings, rests_under_torque
 from identification.diagnosis.statement import statement, warnings_of
 from identification.diagnosis.unexplained import unexplained, unrecorded_effects
-from identification.diagnosis.within_limits import choose, fit_from_estimate, views_and_fit
+from identification.diagnosis.within_limits import (
+    choose,
+    fit_from_estimate,
+    long_enough,
+    views_and_fit,
+)
 from identification.effects import MOTION
 from identification.effects.effect import Effect
 from identification.effects.model import CorrectedModel
@@ -98,8 +103,8 @@ def diagnose(
     report: Progress = progress or (lambda _stage, _share: None)
     forget()
     report("nominal model", 0.0)
-    everything = dataset
-    dataset, bandwidth, resting = choose(dataset, bandwidth_Hz)
+    everything, bandwidth, short = long_enough(dataset, bandwidth_Hz)
+    dataset, _, resting = choose(everything, bandwidth)
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
@@ -139,6 +144,7 @@ def diagnose(
         steps=found.steps,
         traces=shown.traces,
         warnings=(
+            *short,
             *resting,
             *warnings_of(dataset, here, unseen),
             *why,

@@ -158,9 +158,9 @@ def fit(
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
         if not any(equation.name == "torque" for equation in rows):
             raise RecordingError(
-                "no sample of the recordings with role fit is in steady motion, so these "
-                "recordings determine neither friction nor inertia; add a recording with longer "
-                "steady motion"
+                "no sample of the recordings with role fit is in steady motion at this bandwidth: "
+                "each window of the filter contains a rest, a reversal or a change of the speed; "
+                "state a greater bandwidth, or add a recording with longer steady motion"
             )
         here = stack = stack_of(rows, nominal, stack)
         effects = _with_nonlinear_parameters(here, effects, k)

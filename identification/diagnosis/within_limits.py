@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -27,8 +26,9 @@ from identification.diagnosis.linear import (
 )
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
+from identification.estimate.bandwidth import Choice, choose_bandwidth, moving_samples
 from identification.estimate.default import free_names, solve_stages
-from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
+from identification.estimate.equation_error import LEAST_MOTION, samples_in_motion
 from identification.model.parameters import LADDER, STRIBECK_TERMS, bears_load
 from identification.prepare import prepare, torque_unit
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
@@ -328,9 +328,12 @@ if no load is declared.
 """
 
 
-def bandwidth_of(recordings: Sequence[Recording]) -> float:
-    """Return the common bandwidth of all errors, Hz."""
-    return common_bandwidth(recordings, GREATEST_BANDWIDTH_HZ)
+def _steady_samples(recordings: Sequence[Recording], bandwidth_Hz: float) -> int:
+    """Return the number of samples that both an identification and a diagnosis can use."""
+    moving = moving_samples(recordings, bandwidth_Hz)
+    if moving < LEAST_MOTION:
+        return moving
+    return min(moving, sum(int(np.sum(v.moving)) for v in views(recordings, bandwidth_Hz)))
 
 
 def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
@@ -437,20 +440,6 @@ def estimated_nominal(
 # Chooses the recordings and the bandwidth of a diagnosis.
 
 
-class Chosen(NamedTuple):
-    """Recordings and bandwidth of a diagnosis.
-
-    Attributes:
-        dataset: The dataset; recordings that cannot be used have the role ``unused``.
-        bandwidth: Bandwidth of all errors, Hz.
-        warnings: Texts that state which recordings are not used, and why.
-    """
-
-    dataset: Dataset
-    bandwidth: float
-    warnings: tuple[str, ...] = ()
-
-
 def fitted_part(dataset: Dataset) -> tuple[Recording, ...]:
     """Return the recordings with role ``fit``.
 
@@ -466,8 +455,19 @@ def fitted_part(dataset: Dataset) -> tuple[Recording, ...]:
     return fitted
 
 
-def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
-    """Return the recordings to use, and the bandwidth of all errors.
+def long_enough(dataset: Dataset, bandwidth_Hz: float | None) -> Choice:
+    """Return the bandwidth of all errors, and the recordings that are long enough for its filter.
+
+    Raises:
+        RecordingError: No recording has the role ``fit``.
+    """
+    fitted_part(dataset)
+    return choose_bandwidth(dataset, bandwidth_Hz, GREATEST_BANDWIDTH_HZ, _steady_samples)
+
+
+def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Choice:
+    """Return the recordings to use, and the bandwidth of all errors; recordings that cannot be
+    used have the role ``unused``, those too short for the filter are left out.
 
     Loaded recordings in which the joint rests nearly all the time do not determine friction under
     load. Such recordings are not used, and only the unloaded recordings are diagnosed.
@@ -479,15 +479,15 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     Raises:
         RecordingError: No recording has the role ``fit``.
     """
-    fitted = fitted_part(dataset)
-    bandwidth = bandwidth_Hz or bandwidth_of(fitted)
+    dataset, bandwidth, short = long_enough(dataset, bandwidth_Hz)
+    fitted = dataset.part("fit")
     moving = {
         stage: samples_in_motion([prepare(r, bandwidth) for r in fitted if r.stage == stage])
         for stage in {r.stage for r in fitted}
     }
     rests = moving.get("loaded", LEAST_MOTION) < LEAST_MOTION
     if not rests or moving.get("unloaded", 0) < LEAST_MOTION:
-        return Chosen(dataset, bandwidth)
+        return Choice(dataset, bandwidth, short)
     kept = tuple(
         replace(r, role="unused") if r.stage == "loaded" else r for r in dataset.recordings
     )
@@ -498,4 +498,4 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
         "no loaded recording is used, and effects of the load are not diagnosed; add recordings in "
         "which the loaded joint moves longer"
     )
-    return Chosen(replace(dataset, recordings=kept), bandwidth, (warning,))
+    return Choice(replace(dataset, recordings=kept), bandwidth, (*short, warning))

@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import equation_error as varpro
+from identification.estimate.bandwidth import choose_bandwidth, common_bandwidth, listed
 from identification.estimate.covariance import (
     shifts_of_constants,
     with_constants,
@@ -21,7 +22,6 @@ from identification.estimate.covariance import (
 )
 from identification.estimate.equation_error import (
     Stage,
-    common_bandwidth,
     loaded_stage,
     require_motion,
     unloaded_stage,
@@ -47,7 +47,6 @@ from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress, silent
 from identification.prepare import (
     Prepared,
-    default_bandwidth,
     joint_angle,
     prepare,
     resting,
@@ -95,17 +94,17 @@ def identify(
     started = perf_counter()
     tell = progress or silent
     chance = rng or np.random.default_rng(0)
-    fitted = dataset.part("fit")
-    if not fitted:
+    if not dataset.part("fit"):
         raise RecordingError("no recording has role 'fit'; at least one is needed")
-    if bandwidth_Hz is None:
-        bandwidth_Hz = common_bandwidth(fitted)
+    dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
+    fitted = dataset.part("fit")
     tell("unloaded", 0.0)
     every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
     active = [p for p in every if p.recording.role == "fit"]
     model = dataset.model
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
+    doubts = varpro.averaging(active, values, names, model.alpha)
     tell("joint", 0.0)
     found = refine(
         lambda correlated: refine_recordings(fitted, values, names, model, correlated, tell),
@@ -121,7 +120,7 @@ def identify(
     whole = replace(
         found,
         stages=(*stages, *found.stages),
-        warnings=(*found.warnings, *notes, *_unresolved(active)),
+        warnings=(*found.warnings, *notes, *short, *doubts, *_unresolved(active)),
     )
     result = identification(dataset, [(p.recording, [p]) for p in every], whole)
     seconds = perf_counter() - started
@@ -184,12 +183,13 @@ def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared
 
 
 def _unresolved(active: Sequence[Prepared]) -> list[str]:
-    """Return a warning for each recording that the equation error cannot use."""
+    """Return one warning on all recordings that the equation error cannot use."""
+    idle = [p.recording.name for p in active if not np.any(p.used)]
+    if not idle:
+        return []
     return [
-        f"{p.recording.name}: not used by the equation error, because at a bandwidth of "
-        f"{p.bandwidth_Hz:.3g} Hz no filter window consists of samples in motion only"
-        for p in active
-        if not np.any(p.used)
+        f"{listed(idle)}: not used by the equation error, because at a bandwidth of "
+        f"{active[0].bandwidth_Hz:.3g} Hz no filter window consists of samples in motion only"
     ]
 
 
@@ -367,11 +367,12 @@ def identify_long(
     """
     started = perf_counter()
     tell = progress or silent
+    if bandwidth_Hz is None:
+        bandwidth_Hz = common_bandwidth([pieces(r)[0] for r in dataset.part("fit")])
+    dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
     model = dataset.model
     cut = [(r, pieces(r)) for r in dataset.recordings]
     heads = [parts[0] for r, parts in cut if r.role == "fit"]
-    if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(head) for head in heads)
     tell("unloaded", 0.0)
     prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
     fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
@@ -389,7 +390,7 @@ def identify_long(
         model.alpha,
     )
     tell("joint", 1.0)
-    whole = replace(found, stages=(*stages, *found.stages))
+    whole = replace(found, stages=(*stages, *found.stages), warnings=(*found.warnings, *short))
     result = identification(dataset, prepared, whole)
     return replace(result, seconds=perf_counter() - started)
 

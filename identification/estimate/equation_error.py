@@ -5,25 +5,26 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
 
 from identification.model.friction import stribeck_shape, system_friction
 from identification.model.parameters import LADDER, bears_load, rises
-from identification.numerics.arrays import Array, BoolArray
+from identification.numerics.arrays import Array, BoolArray, IntArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import (
     Prepared,
-    default_bandwidth,
+    joint_angle,
     prepare,
     uniform_grid,
     volts_per_torque,
 )
 from identification.recording import Model, Recording, RecordingError
-from identification.signals import resample
+from identification.signals import quantum, resample
 
 HIGHEST_SHARE = 1.0 / 3.0
 """Greatest Stribeck speed that is tried, relative to the greatest recorded speed; with a higher
@@ -45,12 +46,32 @@ def _moving(p: Prepared) -> BoolArray:
     return np.asarray(p.used & (p.velocity != 0.0))
 
 
+SURE_REVERSAL = 0.01
+"""Least way back that counts as a reversal, as a share of the travel, and at least three steps of
+the encoder.
+"""
+
+
+def _reversals(p: Prepared) -> int:
+    """Return how often the joint turns back, by more than the noise of its encoder."""
+    angle = joint_angle(p.recording)
+    if angle is None:
+        angle = np.cumsum(p.raw_velocity) * p.recording.period
+    least = max(3.0 * quantum(angle), SURE_REVERSAL * float(np.ptp(angle)))
+    count, way, low, high = 0, 0, angle[0], angle[0]
+    for value in angle:
+        low, high = min(low, value), max(high, value)
+        if way <= 0 and value - low > least:
+            count, way, high = count + (way < 0), 1, value
+        elif way >= 0 and high - value > least:
+            count, way, low = count + (way > 0), -1, value
+    return count
+
+
 def _reversals_per_s(prepared: Sequence[Prepared]) -> float:
     """Return the mean number of reversals per second of motion, over all recordings."""
-    moving = [p.raw_velocity[p.raw_velocity != 0.0] for p in prepared]
-    seconds = sum(len(v) * p.recording.period for v, p in zip(moving, prepared, strict=True))
-    count = sum(int(np.count_nonzero(np.diff(np.sign(v)))) for v in moving)
-    return count / seconds if seconds > 0.0 else 0.0
+    seconds = sum(int(np.count_nonzero(p.raw_velocity)) * p.recording.period for p in prepared)
+    return sum(map(_reversals, prepared)) / seconds if seconds > 0.0 else 0.0
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
@@ -64,13 +85,20 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
         bandwidth, reversals = prepared[0].bandwidth_Hz, _reversals_per_s(prepared)
-        remedy = (
-            f"the motion reverses {reversals:.3g} times per second, so that nearly every window of "
-            "the filter contains rest; choose a greater bandwidth, or add recordings with fewer "
-            "reversals per second"
-            if reversals > bandwidth
-            else "add recordings in which the joint moves longer or further"
-        )
+        in_motion = sum(int(np.count_nonzero(p.raw_velocity)) for p in prepared)
+        rests = "nearly every window of the filter contains rest; choose a greater bandwidth, or"
+        if reversals > bandwidth:
+            remedy = (
+                f"the motion reverses {reversals:.3g} times per second, so that {rests} add "
+                "recordings with fewer reversals per second"
+            )
+        elif in_motion >= LEAST_MOTION:
+            remedy = (
+                f"the joint moves and rests in turn ({reversals:.2g} reversals per second), so "
+                f"that {rests} add recordings in which the joint moves longer without a rest"
+            )
+        else:
+            remedy = "add recordings in which the joint moves longer or further"
         raise RecordingError(
             f"{names}: at a bandwidth of {bandwidth:.3g} Hz, {count} samples are in motion; a fit "
             f"needs at least {LEAST_MOTION} samples in motion: {remedy}"
@@ -366,42 +394,6 @@ def solve(design: Callable[[float], Design], low: float, high: float) -> Solutio
     )
 
 
-BANDWIDTH_STEP = 1.25
-"""Ratio of successive bandwidths that are tried."""
-SHARE_OF_RATE = 1.0 / 6.0
-"""Greatest bandwidth that is tried, relative to the sampling rate."""
-
-
-def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf) -> float:
-    """Return the least of the recordings' default bandwidths, Hz, or the least greater bandwidth at
-    which the greatest number of stages have enough samples in motion.
-
-    If the time between two reversals is shorter than the filter, no filter window is without rest,
-    and no sample is in motion. A stage without a sample in motion at any bandwidth does not affect
-    the bandwidth of the other stages.
-
-    Args:
-        recordings: At least one recording.
-        most_Hz: Upper limit of the default bandwidths, Hz.
-    """
-    least = min(most_Hz, *(default_bandwidth(r) for r in recordings))
-    greatest = SHARE_OF_RATE / max(r.period for r in recordings)
-    tried, chosen, most = least, least, 0
-    while tried <= greatest:
-        prepared = [prepare(r, tried) for r in recordings]
-        stages = [
-            [p for p in prepared if p.recording.stage == stage]
-            for stage in {r.stage for r in recordings}
-        ]
-        enough = sum(samples_in_motion(stage) >= LEAST_MOTION for stage in stages)
-        if enough > most:
-            chosen, most = tried, enough
-        if enough == len(stages):
-            break
-        tried *= BANDWIDTH_STEP
-    return chosen
-
-
 BLOCK_CORRELATION_TIMES = 10.0
 """Ratio of the block length to the correlation time of the residual."""
 LEAST_BLOCKS = 8
@@ -419,10 +411,30 @@ def block_sandwich(
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)
+    rows = _linearised(prepared, values, names, alpha)
+    return Spread(tuple(names), *_sandwich(rows, rows.residual))
+
+
+class _Rows(NamedTuple):
+    """Derivatives of the torque equation, (n, p), its residual, (n,), and the block of each row."""
+
+    jacobian: Array
+    residual: Array
+    owner: IntArray
+
+
+def _linearised(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    alpha: float,
+    others: Sequence[Array] = (),
+) -> _Rows:
+    """Return the rows of all recordings; ``others`` holds one more column for each recording."""
     jacobians, residuals, owners = [], [], []
     blocks = 0
     total = sum(int(np.sum(p.used)) for p in prepared)
-    for p in prepared:
+    for k, p in enumerate(prepared):
         used = p.used
         if not np.any(used):
             continue
@@ -434,6 +446,7 @@ def block_sandwich(
             columns.append(
                 (model_torque(p, {**values, name: values[name] + step}, alpha) - here)[used] / step
             )
+        columns += [others[k][used]] if others else []
         length = max(1, round(BLOCK_CORRELATION_TIMES * correlation_samples(residual)))
         length = max(1, min(length, total // LEAST_BLOCKS))
         count = max(1, round(len(residual) / length))
@@ -444,24 +457,75 @@ def block_sandwich(
         blocks += count
         jacobians.append(np.column_stack(columns))
         residuals.append(residual)
-    jacobian, residual, owner = (
-        np.concatenate(jacobians),
-        np.concatenate(residuals),
-        np.concatenate(owners),
-    )
-    count = len(names)
+    return _Rows(np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(owners))
+
+
+def _sandwich(rows: _Rows, residual: Array) -> tuple[Array, float]:
+    """Return the covariance of all columns, clustered by blocks, and its degrees of freedom."""
+    jacobian, blocks = rows.jacobian, int(rows.owner[-1]) + 1
+    count = jacobian.shape[1]
     scale = np.linalg.norm(jacobian, axis=0)
     blind = scale == 0.0
     scale[blind] = 1.0
     scaled = jacobian / scale
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     scores = np.zeros((blocks, count))
-    np.add.at(scores, owner, scaled * residual[:, None])
+    np.add.at(scores, rows.owner, scaled * residual[:, None])
     freedom = max(blocks - count, 3)
     covariance = bread @ (scores.T @ scores) @ bread * blocks / freedom / np.outer(scale, scale)
     covariance[blind, :] = covariance[:, blind] = 0.0
     covariance[blind, blind] = math.inf
-    return Spread(tuple(names), covariance, float(freedom))
+    return covariance, float(freedom)
+
+
+SURE_MEAN, NEAR_MEAN = 0.1, 0.25
+"""Greatest standard error of the measured shift of the drive channel, and greatest distance from
+half a period, both in half periods, at which a warning states the shift.
+"""
+
+
+def averaging(
+    prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
+) -> tuple[str, ...]:
+    """Return a warning if the recordings show that the samples of the torque or current are means
+    over the sample period although the recordings state instants, or the reverse.
+
+    The mean over the period that ends at a sample is the value half a period earlier. The shift of
+    the drive's torque is fitted as one more parameter, with the covariance of
+    :func:`block_sandwich`.
+    """
+    drives = {
+        next((c for c in ("torque", "current") if c in p.recording.channels), "") for p in prepared
+    }
+    (name, *others) = drives
+    stated = {name in p.recording.averaged for p in prepared}
+    if not name or others or len(stated) > 1 or not names:
+        return ()
+    shifts = []
+    for p in prepared:
+        other = replace(p.recording, averaged=p.recording.averaged ^ {name})
+        shifts.append(p.torque - prepare(other, p.bandwidth_Hz).torque)
+    rows = _linearised(prepared, values, names, alpha, shifts)
+    scale = np.linalg.norm(rows.jacobian, axis=0)
+    if scale[-1] == 0.0:
+        return ()
+    scale[scale == 0.0] = 1.0
+    step = np.linalg.lstsq(rows.jacobian / scale, rows.residual)[0] / scale
+    covariance, _ = _sandwich(rows, rows.residual - rows.jacobian @ step)
+    shift, error = float(step[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    if error > SURE_MEAN or abs(shift - 1.0) > NEAR_MEAN:
+        return ()
+    found, key = (
+        ("values at its time", "false")
+        if stated.pop()
+        else ("means over the period that ends at its time", "true")
+    )
+    return (
+        f"`{name}`: by the recordings its samples are {found} (measured shift {shift:.2f} +- "
+        f"{1.645 * error:.2f} of the half period between the two): if this is so, state "
+        f"`average: {key}` at the channel; J and sigma_2 depend on it, and their intervals do not "
+        "include it",
+    )
 
 
 INPUTS = ("command", "feedforward", "load_force")

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.default import identify
 from identification.estimate.equation_error import (
     Floor,
     Stage,
-    common_bandwidth,
     noise_floor,
     unloaded_stage,
 )
@@ -223,10 +223,9 @@ def climb(
         RecordingError: A recording is loaded, or cannot be fitted.
     """
     tell = progress or silent
-    to_fit = _to_fit(dataset)
-    to_score = dataset.part("validate") or to_fit
-    if bandwidth_Hz is None:
-        bandwidth_Hz = common_bandwidth(to_fit)
+    chosen, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
+    to_fit = _to_fit(chosen)
+    to_score = chosen.part("validate") or to_fit
     fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
     simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]

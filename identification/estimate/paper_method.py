@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import equation_error as projection
+from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.equation_error import require_motion
 from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
@@ -24,7 +25,7 @@ from identification.numerics.optimisers import (
     genetic_algorithm,
     multi_start,
 )
-from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, Model, RecordingError
 from identification.result import Convergence, Identification, Parameter
 
@@ -122,8 +123,8 @@ def identify_paper(
 
     Args:
         dataset: Recordings of one bench.
-        bandwidth_Hz: Bandwidth of the filter that all signals pass, or None for the least of the
-            default bandwidths of the fitted recordings.
+        bandwidth_Hz: Bandwidth of the filter that all signals pass, or None for the one that
+            :func:`identification.estimate.bandwidth.choose_bandwidth` chooses.
         rng: Source of all randomness.
         progress: Called with the stage and the share of the stage's generations that is done.
         generations: Greatest number of generations per stage.
@@ -132,11 +133,10 @@ def identify_paper(
         RecordingError: There is no unloaded recording to fit, or the joint does not move in a
             recording.
     """
-    if bandwidth_Hz is None:
-        bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
+    dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
     alpha = dataset.model.alpha
-    warnings = _left_out(dataset.model)
+    warnings = (*_left_out(dataset.model), *short)
     search = _Search(dataset, generations, rng, progress)
     known: dict[str, float] = {}
     parameters: dict[str, Parameter] = {}
@@ -520,7 +520,8 @@ def compare(
             "a comparison of optimisers needs the nominal model; remove model.fixed and "
             f"model.terms ({held})"
         )
-    prepared = [prepare(r, default.fit.bandwidth_Hz) for r in dataset.part("fit")]
+    dataset, bandwidth_Hz, _ = choose_bandwidth(dataset, default.fit.bandwidth_Hz)
+    prepared = [prepare(r, bandwidth_Hz) for r in dataset.part("fit")]
     stages = {s: [p for p in prepared if p.recording.stage == s] for s in ("unloaded", "loaded")}
     alpha = dataset.model.alpha
     problems = [StageProblem("unloaded", stages["unloaded"], {}, alpha)]

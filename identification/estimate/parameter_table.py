@@ -28,6 +28,8 @@ from identification.views.nominal import Nominal
 from identification.views.predicted import Predicted, predicted_torque, relative, rms
 from identification.views.view import views
 
+OFFSET_SHARE = 0.1
+"""Greatest half width of the interval of an identified offset, relative to the rms torque."""
 WIDEST = 0.5
 """Ratio of the 90 % interval's half width to the value above which a parameter is not
 identifiable.
@@ -271,7 +273,7 @@ def _judge(
         scale = math.sqrt(
             sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used))
         )
-        loose = half > 0.1 * scale
+        loose = half > OFFSET_SHARE * scale
     else:
         loose = not half <= WIDEST * abs(value)
     if loose or at_bound:
@@ -304,9 +306,14 @@ def _why(
     if at_bound:
         return "the best fit would have a value below 0, which is the lower bound"
     suffix = "" if unit == "1" else f" {unit}"
+    rule = (
+        f"{100.0 * OFFSET_SHARE:g} % of the rms torque"
+        if name == "offset"
+        else f"{100.0 * WIDEST:g} % of the value"
+    )
     interval = (
         f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide for "
-        "the value to count as identified"
+        f"the value to count as identified: its half width, {half:.3g}{suffix}, exceeds {rule}"
     )
     if name == "J":
         inertia = max(

@@ -30,7 +30,7 @@ from identification.filter.likelihood import (
     reduce,
     search_breakaway_times,
 )
-from identification.filter.segments import motion
+from identification.filter.segments import lacking, motion
 from identification.model.parameters import (
     INDEX,
     LOGARITHMIC,
@@ -306,7 +306,7 @@ def refine_recordings(
         return "the equation error finds no static friction above Coulomb friction"
     motions = [motion(r) for r in recordings]
     found = [m for m in motions if m is not None]
-    left_out = tuple(r.name for r, m in zip(recordings, motions, strict=True) if m is None)
+    left_out = {r.name: lacking(r) for r, m in zip(recordings, motions, strict=True) if m is None}
     unloaded = [m for m in found if m.recording.stage == "unloaded"]
     loaded = [m for m in found if m.recording.stage == "loaded"]
     if not values["J"] > 0.0:
@@ -314,8 +314,7 @@ def refine_recordings(
     for condition, usable in (("unloaded", unloaded), ("loaded", loaded)):
         unusable = [r.name for r in recordings if r.stage == condition]
         if unusable and not usable:
-            lack = "lacks" if len(unusable) == 1 else "lack"
-            return f"{NEEDED}; {', '.join(unusable)} {lack} one of these"
+            return f"{NEEDED}; {_lacks({name: left_out[name] for name in unusable})}"
     if not unloaded:
         return "a refinement by prediction errors needs an unloaded recording"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
@@ -332,7 +331,16 @@ def refine_recordings(
     return replace(refined, left_out=left_out)
 
 
-def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
+def _lacks(left_out: Mapping[str, str]) -> str:
+    """Return which recordings lack what, by what they lack."""
+    parts = []
+    for what in dict.fromkeys(left_out.values()):
+        names = [name for name, lacked in left_out.items() if lacked == what]
+        parts.append(f"{', '.join(names)} {'lacks' if len(names) == 1 else 'lack'} {what}")
+    return "; ".join(parts)
+
+
+def partly_used(left_out: Mapping[str, str]) -> tuple[str, ...]:
     """Return the warning that prediction errors do not use some recordings; empty if they use
     all.
     """
@@ -340,9 +348,8 @@ def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
         return ()
     names = ", ".join(left_out)
     return (
-        f"{names}: used by the equation error only, for the start values; {NEEDED}, and "
-        f"{'this recording' if len(left_out) == 1 else 'each of these recordings'} lacks one of "
-        "these",
+        f"{names}: used by the equation error only, for the start values; {NEEDED}; "
+        f"{_lacks(left_out)}",
     )
 
 
@@ -402,7 +409,7 @@ def refine_pieces(
     vector = pack(start.values, model.alpha)
     begins: dict[int, tuple[Array, ...]] = {}
     evaluations = start.evaluations
-    left_out = dict.fromkeys(piece.name for piece in pieces)
+    left_out = {piece.name: lacking(piece) for piece in pieces}
     for number in range(PASSES):
         found: list[Reduced] = []
         for k, piece in enumerate(pieces):
@@ -428,7 +435,7 @@ def refine_pieces(
         start,
         evaluations=evaluations,
         iterations=start.iterations + number + 1,
-        left_out=tuple(left_out),
+        left_out=left_out,
     )
     return _over_all(evaluated, found, names, vector)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -560,7 +560,7 @@ class Refined:
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
         starts: Search ends of each search.
-        left_out: Names of recordings to which prediction errors do not apply.
+        left_out: Name to what is lacking, of recordings to which prediction errors do not apply.
         stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
     """
 
@@ -580,7 +580,7 @@ class Refined:
     equations_chi2: float
     joint: Point
     starts: tuple[Starts, ...] = ()
-    left_out: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
     stopped: bool = False
 
 

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.default import by_load, solve_stages
-from identification.estimate.equation_error import common_bandwidth
 from identification.estimate.ladder import REPLICATES, Interval, draw_interval
 from identification.model.parameters import (
     DIRECTIONAL,
@@ -785,10 +785,9 @@ def predictable(recording: Recording) -> bool:
 def _problem(
     dataset: Dataset, bandwidth_Hz: float | None, rng: np.random.Generator, replicates: int
 ) -> _Problem:
+    dataset, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
     to_fit = dataset.part("fit")
     to_score = dataset.part("validate") or to_fit
-    if bandwidth_Hz is None:
-        bandwidth_Hz = common_bandwidth(to_fit)
     active = [prepare(r, bandwidth_Hz) for r in to_fit]
     aside = [prepare(r, bandwidth_Hz) for r in to_score]
     values = {

@@ -163,16 +163,10 @@ def motion(recording: Recording) -> Motion | None:
     measured torque or current, and at least two segments. Single samples may be missing or late;
     segments with longer gaps are left out.
     """
-    if not ({"torque", "current"} & recording.channels.keys()):
+    basis = _basis(recording)
+    if isinstance(basis, str):
         return None
-    even = evened(recording)
-    if even is None:
-        return None
-    recording, holes = even
-    angle = joint_angle(recording)
-    step = 0.0 if angle is None else quantum(angle)
-    if angle is None or step == 0.0:
-        return None
+    recording, holes, angle, step = basis
     velocity = np.gradient(np.convolve(angle, np.ones(5) / 5.0, mode="same"), recording.time)
     at = recording.time
     measured = {"torque", "current"} & recording.averaged
@@ -211,6 +205,28 @@ def motion(recording: Recording) -> Motion | None:
         extra_inertia=extra,
         angle_variance=step * step / 12.0,
     )
+
+
+def lacking(recording: Recording) -> str:
+    """Return what a recording without motion segments lacks."""
+    basis = _basis(recording)
+    return basis if isinstance(basis, str) else "two breakaways from rest"
+
+
+def _basis(recording: Recording) -> tuple[Recording, BoolArray, Array, float] | str:
+    """Return the recording with even samples, its gaps, its angle and the step of the angle, rad;
+    or what it lacks.
+    """
+    if not ({"torque", "current"} & recording.channels.keys()):
+        return "a measured torque or current"
+    even = evened(recording)
+    if even is None:
+        return "even sampling"
+    angle = joint_angle(even[0])
+    step = 0.0 if angle is None else quantum(angle)
+    if angle is None or step == 0.0:
+        return "a quantised encoder"
+    return *even, angle, step
 
 
 def _unsure(

@@ -27,6 +27,7 @@ from identification.prepare import (
     finer_joint,
     irregular,
     joint_angle,
+    least_samples,
     resting,
     uniform_grid,
     widened,
@@ -426,7 +427,7 @@ def _view(
 ) -> View:
     grid, rate = uniform_grid(recording), 1.0 / recording.period
     low_pass = decimator(rate, bandwidth_Hz)
-    if len(grid) < 2 * low_pass.half + 8:
+    if len(grid) < least_samples(rate, bandwidth_Hz):
         raise RecordingError(
             f"{recording.name}: the recording has {len(grid)} samples, but the filter for a "
             f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {2 * low_pass.half + 8}; state a "

@@ -281,6 +281,11 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     for name, channel in channels.items():
         if channel.unsigned:
             yield ("channels", name, "unsigned"), _UNSIGNED.get(name, _UNSIGNED_OTHER)
+        if channel.wraps_after is not None and name not in ("angle", "motor_angle", "command"):
+            yield (
+                ("channels", name, "wraps_after"),
+                "is allowed for `angle`, `motor_angle` and `command` only; remove it",
+            )
 
 
 _BESIDE_EXPORT = {"file", "role", "channels"}

@@ -309,6 +309,10 @@ class ChannelSection(Schema):
         average: Whether each sample is the mean over the period that ends at its time.
         unsigned: Whether the column contains magnitudes; such a column is rejected, because the
             sign of the torque is needed.
+        wraps_after: For `angle`, `motor_angle` and `command`: change, in units of the column, after
+            which the column has its former value again, such as 360, 4000 counts, or 6.283 (which
+            stands for 2 pi). The column is continued over these jumps; between two samples it must
+            change by less than half of this value.
     """
 
     column: str | Annotated[int, Field(ge=0)]
@@ -316,6 +320,7 @@ class ChannelSection(Schema):
     offset: float = 0.0
     average: bool = False
     unsigned: bool = False
+    wraps_after: Annotated[PositiveFloat, Field(allow_inf_nan=False)] | None = None
 
     @model_validator(mode="before")
     @classmethod

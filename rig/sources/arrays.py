@@ -71,6 +71,24 @@ def _columns(name: str, shape: tuple[int, ...]) -> list[_Column]:
     return []
 
 
+def _contents(matlab: Any, stream: Any) -> list[tuple[str, tuple[int, ...], str]]:
+    """Return name, shape and kind of each variable, of objects of MATLAB's own as well."""
+    try:
+        return list(matlab.whosmat(stream))
+    except TypeError:
+        # whosmat does not list a file that holds a string, a table or a datetime of MATLAB.
+        stream.seek(0)
+        found = matlab.loadmat(stream)
+    kinds = {"V": "struct", "O": "cell", "U": "char", "b": "logical"}
+    return [
+        (str(name), value.shape, kinds.get(value.dtype.kind, "double"))
+        if isinstance(value, np.ndarray) and type(value).__name__ != "MatlabOpaque"
+        else (str(name), (), "object")
+        for name, value in found.items()
+        if not str(name).startswith("__")
+    ]
+
+
 class MatTable(ArrayTable):
     """A MATLAB file of version 4 to 7.
 
@@ -87,7 +105,7 @@ class MatTable(ArrayTable):
         self._matlab: Any = scipy.io
         try:
             with open_binary(path) as stream:
-                contents = scipy.io.whosmat(stream)
+                contents = _contents(scipy.io, stream)
         except NotImplementedError as error:
             raise InputError(
                 f"{path}: a MATLAB file of a version that this program cannot read ({error}); "
@@ -101,6 +119,8 @@ class MatTable(ArrayTable):
             self._structs |= dict(self._members(name, inside[name]))
         shapes |= {name: array.shape for name, array in self._structs.items()}
         super().__init__(path, shapes)
+        if any(kind == "object" for *_, kind in contents):
+            self.notes = (*self.notes, "left out: objects of MATLAB (string, table, datetime)")
         if not self.names:
             held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
             raise InputError(

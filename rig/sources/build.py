@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.prepare import coarser_than_velocity
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
@@ -269,6 +270,9 @@ def build(
         sha256=digest,
         notes=tuple(notes),
     )
+    if words := coarser_than_velocity(whole):
+        used = {n: v for n, v in whole.channels.items() if n not in ANGLES}
+        whole, stamps = replace(whole, channels=used, notes=(*whole.notes, words)), None
     return Read(tuple(_cut(whole, timing, stamps)), first, last, section, index)
 
 

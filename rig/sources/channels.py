@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,6 +139,8 @@ ORDINARY_SHARE = 0.125
 """Greatest step between overflows, as a share of the modulus; larger steps have no sure sign."""
 TIME_PERIODS = 100.0
 """Longest time step at an overflow, in median periods."""
+SURE_SHARE = 0.01
+"""Greatest uncertainty of a measured modulus, relative to it, at which a width in bits is sure."""
 POSITIONS = frozenset({"angle", "motor_angle"})
 TIMES = frozenset({"time", "angle_time"})
 
@@ -151,8 +155,11 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
     if finite.size < 3 or np.any(finite != np.rint(finite)):
         return values, ""
     steps = np.diff(finite)
+    turn = starts_again(finite) if name in POSITIONS else None
     for power in POWERS:
         modulus = float(2**power)
+        if turn is not None and not turn.agrees(modulus):
+            continue
         jumps = np.abs(steps) > modulus / 2
         if not jumps.any() or not _in_window(finite, modulus):
             continue
@@ -191,6 +198,108 @@ def _in_window(values: Array, modulus: float) -> bool:
     """Return whether all values fit into an unsigned or a signed counter with this modulus."""
     low, high = float(values.min()), float(values.max())
     return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
+
+
+JUMP, ORDINARY = 0.6, 0.4
+"""Least jump at which an angle starts again, and greatest other step, as shares of its range."""
+SLOPE_SAMPLES = 20
+"""Number of samples on either side of a jump over which the motion there is measured."""
+
+
+class Turn(NamedTuple):
+    """The change after which a column starts again, in units of the column.
+
+    Attributes:
+        after: The change, measured at the jumps and rounded within its uncertainty.
+        uncertainty: Uncertainty of the change.
+        times: Number of jumps.
+    """
+
+    after: float
+    uncertainty: float
+    times: int
+
+    def agrees(self, modulus: float) -> bool:
+        """Return whether the column surely starts again after this change and no other."""
+        allowed = min(self.uncertainty, SURE_SHARE * modulus)
+        return self.uncertainty <= SURE_SHARE * modulus and abs(self.after - modulus) <= allowed
+
+
+def starts_again(values: Array) -> Turn | None:
+    """Return after which change a position starts again, or None if it does not.
+
+    A position that starts again jumps over its whole range against its motion: it runs up to the
+    upper end and goes on, at the same speed, from the lower end. A fast move to another place jumps
+    along its motion or from rest, and a wrong sample jumps there and back. The size of a turn is
+    the jump less the motion of the joint during the jump.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < 2 * SLOPE_SAMPLES:
+        return None
+    steps, span = np.diff(known), float(np.ptp(known))
+    sizes = np.abs(steps)
+    rows = np.flatnonzero(sizes > JUMP * span)
+    ordinary = np.delete(steps, rows)
+    if not rows.size or float(np.max(np.abs(ordinary), initial=0.0)) > ORDINARY * span:
+        return None
+    # First the turn is as long as the jumps; what the joint moves during a jump follows from it.
+    straight = _continued(known, float(np.median(sizes[rows])))
+    before, after = np.maximum(rows - SLOPE_SAMPLES, 0), rows + 1 + SLOPE_SAMPLES
+    after = np.minimum(after, len(known) - 1)
+    slopes = np.zeros((2, len(rows)))
+    for slope, first, last in zip(slopes, (before, rows + 1), (rows, after), strict=True):
+        np.divide(straight[last] - straight[first], last - first, out=slope, where=last > first)
+    noise = np.abs(np.diff(np.delete(np.diff(straight), rows)))
+    clear = float(np.median(noise)) / np.sqrt(SLOPE_SAMPLES)
+    ways = np.sign(slopes) * (np.abs(slopes) > clear)
+    against = -np.sign(steps[rows]) * np.where(ways[0] == ways[1], ways[0], 0.0)
+    if np.sum(against) < 1.0:
+        return None
+    near = np.stack([np.clip(rows + k, 0, len(steps) - 1) for k in (-1, 1)])
+    moved = np.where(np.isin(near, rows), np.nan, steps[near])
+    moved = np.where(np.isnan(moved), slopes, moved).mean(axis=0)
+    turns = np.abs(steps[rows] - moved)
+    rms = float(np.sqrt(np.mean(noise**2))) if noise.size else 0.0
+    whole = bool(np.all(known == np.rint(known)))
+    # The error of a turn is that of a second difference, and of counts half a count.
+    uncertainty = 2.0 * rms + 0.5 * whole + 1e-6 * span
+    return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
+
+
+def _rounded(turn: float, uncertainty: float) -> float:
+    """Return the change that a maker would choose within the uncertainty of the measured one."""
+    usual = (360.0, 2.0 * pi, 1.0, *(2.0**power for power in POWERS))
+    found = [value for value in usual if abs(value - turn) <= uncertainty]
+    found += [
+        value for k in range(1, 7) if abs((value := float(f"{turn:.{k}g}")) - turn) <= uncertainty
+    ]
+    return found[0] if found else turn
+
+
+def _declared(name: str, values: Array, modulus: float) -> tuple[Array, str]:
+    """Return a column that starts again after the declared change as one that goes on, and a note.
+
+    Raises:
+        ValueError: The column covers more than the declared change.
+    """
+    exact = 2.0 * pi if abs(modulus / (2.0 * pi) - 1.0) < WHOLE_TOLERANCE else modulus
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if known.size else 0.0
+    if span > (1.0 + WHOLE_TOLERANCE) * exact:
+        raise ValueError(
+            f"`{name}` covers {span:.6g} in units of its column, and `wraps_after` is {modulus:g}: "
+            "a column that starts again covers at most one turn; correct or remove `wraps_after`"
+        )
+    result = _continued(values, exact)
+    times = int(np.sum(np.abs(np.diff(known)) > 0.5 * exact))
+    fastest = float(np.max(np.abs(np.diff(result[np.isfinite(result)])), initial=0.0))
+    words = f"starts again after {modulus:g}, {times} times: continued"
+    if fastest > ORDINARY * exact:
+        words += (
+            f"; between two samples it changes by up to {100.0 * fastest / exact:.0f} % of a turn, "
+            "and of half a turn or more the direction is unknown"
+        )
+    return result, words
 
 
 def _continued(values: Array, modulus: float) -> Array:
@@ -246,7 +355,8 @@ def read_channels(
     for base in dict.fromkeys(_base(table, column) for column in columns.values()):
         wanted = sorted({c for c in columns.values() if _base(table, c) == base})
         data |= zip(wanted, table.read(wanted), strict=True)
-    raw, left_out, found = on_one_time(table, columns, data)
+    wraps = {name: channel.wraps_after for name, channel in section.channels.items()}
+    raw, left_out, found = on_one_time(table, columns, data, wraps)
     lengths = {name: len(values) for name, values in raw.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
@@ -264,23 +374,54 @@ def read_channels(
 
 
 def on_one_time(
-    table: Table, columns: Mapping[str, int], data: Mapping[int, Array]
+    table: Table,
+    columns: Mapping[str, int],
+    data: Mapping[int, Array],
+    wraps: Mapping[str, float | None],
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Unwrap counters, resample the channels at the stamps of the time, in units of the file.
 
+    ``wraps`` holds the change after which a channel starts again, where the campaign states it.
     Returns as well the number of rows before the first used one, and notes.
+
+    Raises:
+        InputError: A position starts again after a change that is neither stated nor that of a
+            counter, or covers more than the stated change; or the time bases do not fit together.
     """
     raw: dict[str, Array] = {}
     notes: list[str] = []
+    problems: list[str] = []
     for name, column in columns.items():
-        scale = table.counts.get(column)
-        values = data[column]
-        raw[name], note = (
-            unwrapped(name, values) if scale is None else unwrapped_counts(name, values, scale)
-        )
+        scale, values, after = table.counts.get(column), data[column], wraps.get(name)
+        try:
+            if after is not None:
+                raw[name], note = _declared(name, values, after)
+            elif scale is None:
+                raw[name], note = unwrapped(name, values)
+            else:
+                raw[name], note = unwrapped_counts(name, values, scale)
+        except ValueError as error:
+            problems.append(f"{table.path}: {error}")
+            continue
         notes += [f"`{name}`: {note}"] if note else []
+        turn = None if note or name not in POSITIONS else starts_again(values)
+        if turn is not None:
+            problems.append(f"{table.path}: {starting_again(name, turn)}")
+    if problems:
+        raise InputError(problems)
     raw, left_out, joined = _joined(table, columns, raw)
     return raw, left_out, notes + joined
+
+
+def starting_again(name: str, turn: Turn) -> str:
+    """Return that a position starts again after a turn, with the key that states this."""
+    times = "once" if turn.times == 1 else f"{turn.times} times"
+    return (
+        f"`{name}` jumps {times} over its whole range, by {turn.after:.6g} in units of its column: "
+        "it starts again after a turn; state the turn beside the column, "
+        f"`{name}: {{column: ..., wraps_after: {turn.after:.10g}}}`; if it was set to zero there, "
+        "use the part before or after the jump by `window`"
+    )
 
 
 def _columns(

@@ -13,11 +13,17 @@ import numpy as np
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.channels import on_one_time, unwrapped, unwrapped_counts
+from rig.sources.channels import (
+    POSITIONS,
+    on_one_time,
+    starts_again,
+    unwrapped,
+    unwrapped_counts,
+)
 from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
 from rig.sources.formats import FORMATS, open_table, unknown_format
 from rig.sources.plausible import findings
-from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
+from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES, other_unit
 from rig.sources.table import Table, format_of
 
 STRIP = 40
@@ -37,6 +43,7 @@ class Column:
         step: Quantisation step of a coarse column; 0 if none was found.
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
+        turn: Change after which the column starts again, where a campaign must state it.
         strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
@@ -54,6 +61,7 @@ class Column:
     wrap: str
     problem: str
     strip: tuple[float, ...]
+    turn: float | None = None
 
 
 @dataclass(frozen=True)
@@ -146,10 +154,13 @@ def _doubts(
     used = {name: int(g.column) for name, g in guesses.items() if int(g.column) in data}
     if "time" not in used:
         return ()
+    clock = _clock(used["time"], data[used["time"]], guesses["time"].scale)
+    doubt = other_unit(clock.period) if clock is not None else ""
+    first = (doubt,) if doubt else ()
     try:
-        raw, _, _ = on_one_time(table, used, data)
+        raw, _, _ = on_one_time(table, used, data, {})
     except InputError as error:
-        return tuple(error.problems)
+        return (*first, *error.problems)
     channels = {name: values * guesses[name].scale for name, values in raw.items()}
     rows = len(channels["time"])
     channels = {name: values for name, values in channels.items() if len(values) == rows}
@@ -157,12 +168,12 @@ def _doubts(
     known &= np.concatenate(([True], np.diff(channels["time"]) > 0))
     channels = {name: values[known] for name, values in channels.items()}
     if len(channels["time"]) < MIN_SAMPLES:
-        return ()
+        return first
     if "angle" not in channels:
         # The gear ratio is not known, and the speed may be that of the motor or of the joint.
         channels.pop("velocity", None)
     problems, notes = findings(channels, None, driven_by_weight=False, has_lever=False)
-    return (*problems, *notes)
+    return (*first, *problems, *notes)
 
 
 def look_at_recording(recording: Recording) -> Look:
@@ -211,6 +222,10 @@ def _column(
         return Column(name, index, channel, unit, size, 0, 0, nan, nan, 0.0, 0.0, "", values, ())
     known = values[np.isfinite(values)]
     step = _step(known)
+    note = wrap(channel or "angle", values)[1]
+    turn = starts_again(values) if not note and channel in ("", *POSITIONS) else None
+    if turn is not None:
+        note = f"starts again after {turn.after:.6g} ({turn.times} x): state `wraps_after`"
     return Column(
         name=name,
         index=index,
@@ -223,7 +238,8 @@ def _column(
         high=float(known.max()) if known.size else nan,
         step=step,
         flicker=_flicker(known, step),
-        wrap=wrap(channel or "angle", values)[1],
+        wrap=note,
+        turn=None if turn is None else turn.after,
         problem="",
         strip=_strip(values),
     )

@@ -89,12 +89,39 @@ def _sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> It
     if velocity is None or effort is None or driven_by_weight:
         return
     correlation = _correlation(_block_mean(channels[effort], block), velocity, velocity)
-    if correlation < OPPOSED:
+    if correlation < OPPOSED and (other := one_signed(channels[effort])) is not None:
+        yield (
+            f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while "
+            f"moving) and keeps one sign ({other} of {len(time)} samples have the other), as a "
+            f"magnitude does: {MAGNITUDE}; if in recordings of the other direction it has the "
+            f"other sign, its sign convention is opposite to that of `{mover}`"
+        )
+    elif correlation < OPPOSED:
         yield (
             f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while "
             f"moving), as if the load drove the motor: negate the scale of `{effort}` or of "
             f"`{mover}`; a weight that turns with the joint is declared by `gravity`"
         )
+
+
+MAGNITUDE = (
+    "state `unsigned: true` at this channel, and log it with its sign, or use `torque` or "
+    "`voltage` instead"
+)
+FEW, SMALL = 0.05, 0.03
+"""Greatest share of samples of a magnitude that noise puts below zero, and of their sum."""
+
+
+def one_signed(values: Array) -> int | None:
+    """Return how many samples of a channel of one sign noise gives the other sign; None for a
+    channel of both signs, or of zeros only.
+    """
+    known = values[np.isfinite(values)]
+    above, below = known[known > 0], known[known < 0]
+    fewer, more = sorted((above, below), key=lambda part: float(np.sum(np.abs(part))))
+    few = len(fewer) <= FEW * len(known)
+    small = abs(float(np.sum(fewer))) <= SMALL * abs(float(np.sum(more)))
+    return len(fewer) if more.size and few and small else None
 
 
 def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
@@ -253,6 +280,7 @@ def _signless(
     With a load in one direction the effort may also keep one sign, but then the effort is greater
     against the load than with the load.
     """
+    time = channels["time"]
     moving = np.abs(derived) > BOTH_WAYS * np.max(np.abs(derived), initial=0.0)
     forward = float(np.mean(derived[moving] > 0)) if moving.any() else 0.0
     if not BOTH_WAYS <= forward <= 1.0 - BOTH_WAYS:
@@ -260,19 +288,19 @@ def _signless(
     for name in ("torque", "current", "voltage"):
         if name not in channels:
             continue
-        values = channels[name][np.isfinite(channels[name])]
-        if not values.size or not np.any(values):
+        other = one_signed(channels[name])
+        if other is None:
             continue
         known = moving & np.isfinite(mean[name])
         ahead, back = known & (derived > 0), known & (derived < 0)
         if not ahead.any() or not back.any():
             continue
         sizes = sorted(abs(float(mean[name][part].mean())) for part in (ahead, back))
-        if (values.min() >= 0.0 or values.max() <= 0.0) and sizes[1] < ALIKE * sizes[0]:
+        if sizes[1] < ALIKE * sizes[0]:
+            noise = f" ({other} of {len(time)} samples have the other)" if other else ""
             yield (
-                f"`{name}` keeps one sign while the joint moves both ways: the log may contain "
-                "its magnitude only, and the fit is then wrong; log the channel with its sign, or "
-                "use `voltage` instead"
+                f"`{name}` keeps one sign{noise} while the joint moves both ways: the log may "
+                f"contain its magnitude only, and the fit is then wrong; {MAGNITUDE}"
             )
 
 

@@ -27,8 +27,13 @@ UNEVEN_SHARE = 0.05
 """Relative range (5 to 95 %) of the sample period above which a note results."""
 UNEVEN = "uneven sampling kept as recorded"
 """Beginning of the note on uneven sampling."""
-SLOW_PERIOD_S = 0.5
-"""Median sample period, s, above which a note asks whether the time is in seconds."""
+PERIODS_S = (2e-6, 0.5)
+"""Least and greatest median sample period, s, of a log of a drive; beyond, the time has another
+unit.
+"""
+TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+USUAL_PERIODS_S = (4e-5, 0.5)
+"""Least and greatest sample period that a unit must give to be named."""
 
 Mask = NDArray[np.bool_]
 
@@ -102,6 +107,15 @@ def examine_time(time: Array) -> Timing:
 def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     median = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP_PERIODS * median)
+    if gaps.size > len(steps) / MIN_SAMPLES:
+        # Long steps in every few samples are the rhythm of the log, unless they are pauses.
+        usual = float(np.mean(steps))
+        if np.max(steps) <= GAP_PERIODS * usual:
+            return ((0, len(steps) + 1),), [
+                f"{gaps.size} steps longer than {GAP_PERIODS:g} median periods, at most "
+                f"{steps.max():.4g} s, count as uneven sampling, because they come in every "
+                f"{len(steps) / gaps.size:.3g} samples"
+            ]
     if not gaps.size:
         return ((0, len(steps) + 1),), []
     edges = [0, *(int(gap) + 1 for gap in gaps), len(steps) + 1]
@@ -119,7 +133,9 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     if not long:
         raise UnusableError(
             f"{gaps.size} gaps leave no span of {MIN_SAMPLES} samples (median period "
-            f"{median:.4g} s, a gap is longer than {GAP_PERIODS:g} median periods)",
+            f"{median:.4g} s, a gap is longer than {GAP_PERIODS:g} median periods); record with an "
+            "even rate, or write the log again with its gaps filled at even times and map that file"
+            f"{_and(other_unit(median))}",
             int(gaps[0]) + 1,
         )
     return long, notes
@@ -130,12 +146,31 @@ def _describe(steps: Array) -> list[str]:
     notes = []
     if high - low > UNEVEN_SHARE * median:
         notes.append(f"{UNEVEN}: median period {median:.4g} s, 5 to 95 % {low:.4g} to {high:.4g} s")
-    if median >= SLOW_PERIOD_S:
-        notes.append(
-            f"median period {median:.4g} s: if `time` is in ms or us, set its scale to 0.001 or "
-            f"1e-6"
+    doubt = other_unit(median)
+    return [*notes, doubt] if doubt else notes
+
+
+def other_unit(period: float) -> str:
+    """Return a doubt that a median period, s, is in seconds, with the remedy; or an empty text."""
+    low, high = PERIODS_S
+    if low <= period < high or period <= 0.0:
+        return ""
+    if period < low:
+        return (
+            f"median period {period:.4g} s: no drive is logged at {1.0 / period:.3g} Hz; check the "
+            "scale of `time`"
         )
-    return notes
+    least, most = USUAL_PERIODS_S
+    units = [(u, s) for u, s in TIME_UNITS.items() if least <= period * s < most]
+    remedies = [
+        f"if `time` is in {unit} ({1.0 / (period * scale):.4g} Hz), set its scale to {scale:g}"
+        for unit, scale in units
+    ]
+    return f"median period {period:.4g} s: " + (" or, ".join(remedies) or "check its scale")
+
+
+def _and(doubt: str) -> str:
+    return f"; {doubt}" if doubt else ""
 
 
 def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> tuple[Array, int]:

@@ -12,6 +12,7 @@ import pytest
 
 from identification.estimate import default
 from identification.estimate.default import free_names, identify, solve_stages
+from identification.estimate.equation_error import averaging
 from identification.estimate.paper_method import identify_paper
 from identification.estimate.refinement import refine_recordings, refusal
 from identification.estimate.searches import refine_stages
@@ -21,6 +22,7 @@ from identification.recording import Array, Bench, Dataset, Model, Recording, Re
 from identification.result import AcceptanceLimits, Identification
 from identification.signals import quantum
 
+from .diagnosis.benches import campaign
 from .practical import beginning, logged, simulated, with_ripple
 from .synthetic import SYSTEM, TRUTH, sine
 
@@ -324,3 +326,27 @@ def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
     for name, value in TRUTH.items():
         limit = {"omega_sL": 0.03, "J": 0.01}.get(name, 0.004)
         assert result.values()[name] == pytest.approx(value, rel=limit), name
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_whether_a_current_is_a_mean_is_seen_in_the_recordings(stated: bool) -> None:
+    """The drive of the bench sends means over its period."""
+    recordings = [
+        r if stated else replace(r, averaged=r.averaged - {"current"}) for r in campaign({}, 5, 8.0)
+    ]
+    prepared = [prepare(r, 40.0) for r in recordings]
+    values, _ = solve_stages(*default.by_load(prepared), Model(), lambda *_: None)
+    found = averaging(prepared, values, free_names(values, Model()), 2.0)
+    assert len(found) == (not stated)
+    assert all("state `average: true`" in words for words in found)
+
+
+def test_samples_at_instants_are_not_doubted_and_called_means_they_are() -> None:
+    moving = [prepare(sine(frequency=f, duration=8.0), 40.0) for f in (0.5, 1.5)]
+    values, _ = solve_stages(moving, [], Model(), lambda *_: None)
+    names = free_names(values, Model())
+    assert averaging(moving, values, names, 2.0) == ()
+    called = [prepare(replace(p.recording, averaged=frozenset({"torque"})), 40.0) for p in moving]
+    (words,) = averaging(called, values, names, 2.0)
+    assert "`torque`: by the recordings its samples are values at its time" in words
+    assert "state `average: false`" in words

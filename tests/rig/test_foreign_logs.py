@@ -5,18 +5,24 @@ from __future__ import annotations
 import gzip
 import importlib
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
+from rig.sources import load_source
+from rig.sources.channels import starts_again
 from rig.sources.formats import open_table
+from rig.sources.look import look_at_file
 from rig.sources.table import Table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file
 
@@ -166,6 +172,89 @@ def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: b
     assert any(f"`motor_angle`: a counter of {bits} bits" in note for note in recording.notes)
 
 
+LONG = np.arange(2500) * 1e-3
+TURNS = [2 * np.pi, 1.0, 360.0, 500.0, 1000.0, 3600.0, 4000.0, 8000.0, 10000.0, 65000.0]
+
+
+def turning(turn: float, zero: float, per_turn: float, noise: float = 0.0) -> np.ndarray:
+    """Return a log of an angle that starts again after a turn: time, current, angle, true angle."""
+    true = turn * (per_turn * np.sin(5.0 * LONG) + 0.31 * LONG + noise)
+    stored = np.mod(true + zero * turn, turn) - zero * turn
+    if turn >= 500.0:
+        stored = np.floor(stored)
+    current = 2.0 * np.cos(5.0 * LONG)
+    return np.column_stack([LONG, current, stored, true])
+
+
+def load_turning(folder: Path, values: np.ndarray, key: str = "") -> Recording:
+    text = "t,i,q\n" + "\n".join(lines_of(",", values[:, :3]))
+    return load(folder, text, f"{{time: t, current: i, angle: {{column: q{key}}}}}")
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("zero", [0.0, 0.5])
+@pytest.mark.parametrize("per_turn", [0.7, 6.3, 55.0])
+def test_an_angle_that_starts_again_is_asked_for_and_continued(
+    tmp_path: Path, turn: float, zero: float, per_turn: float
+) -> None:
+    values = turning(turn, zero, per_turn)
+    with pytest.raises(InputError, match="it starts again after a turn; state the turn") as refused:
+        load_turning(tmp_path, values)
+    asked = str(refused.value).split("wraps_after: ")[1].split("}")[0]
+    assert float(asked) == pytest.approx(turn, rel=2e-3)
+    assert "negate" not in str(refused.value)
+    found = load_turning(tmp_path, values, f", wraps_after: {turn:.4g}")
+    error = (found.channels["angle"] - values[:, 3]) / turn
+    np.testing.assert_allclose(error - error[0], 0.0, atol=1.01 / turn if turn >= 500.0 else 1e-9)
+    assert any("continued" in note for note in found.notes)
+
+
+@given(
+    turn=st.one_of(st.sampled_from([1.0, 2 * np.pi, 360.0]), st.integers(500, 65536).map(float)),
+    zero=st.floats(0.0, 1.0),
+    swing=st.floats(0.6, 60.0),
+    scatter=st.floats(0.0, 5e-4),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=150, deadline=None)
+def test_any_turn_is_found_at_its_jumps(
+    turn: float, zero: float, swing: float, scatter: float, seed: int
+) -> None:
+    noise = scatter * np.random.default_rng(seed).standard_normal(len(LONG))
+    stored = turning(turn, zero, swing, noise)[:, 2]
+    found = starts_again(stored)
+    assert found is not None
+    assert abs(found.after - turn) <= 2.0 * found.uncertainty
+    for bits in range(8, 17):
+        if found.agrees(2.0**bits):
+            assert abs(turn / 2.0**bits - 1.0) < 0.02, "no width in bits but the right one"
+
+
+@given(
+    seed=st.integers(0, 999),
+    kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_an_angle_that_does_not_start_again_is_left_alone(seed: int, kind: str) -> None:
+    noise = np.random.default_rng(seed)
+    angle = {
+        "moves": np.sin(5.0 * LONG),
+        "quick": np.sin((300.0 + 2.0 * seed) * LONG + seed),
+        "switches": np.sign(np.sin(9.0 * LONG)) + 1e-3 * noise.standard_normal(len(LONG)),
+        "glitch": 0.1 * np.sin(5.0 * LONG) + 9.0 * (np.arange(len(LONG)) == 700 + seed),
+        "noise": noise.standard_normal(len(LONG)),
+    }[kind]
+    assert starts_again(angle) is None
+
+
+def test_a_turn_that_the_column_exceeds_is_refused(tmp_path: Path) -> None:
+    values = turning(4000.0, 0.0, 2.0)
+    with pytest.raises(InputError, match="covers 3999 in units of its column, and `wraps_after`"):
+        load_turning(tmp_path, values, ", wraps_after: 1000")
+    with pytest.raises(InputError, match="wraps_after: is allowed for `angle`"):
+        load(tmp_path, HEAD, "{time: {column: t, wraps_after: 9}, current: i, angle: q}")
+
+
 @pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (32, 1e-6)])
 def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
     ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
@@ -192,6 +281,63 @@ def test_channels_that_contradict_each_other_are_doubted(tmp_path: Path) -> None
     assert "`current` keeps one sign" in note
 
 
+def test_a_magnitude_with_noise_below_zero_is_recognised(tmp_path: Path) -> None:
+    size = np.abs(CURRENT) + 0.3
+    size[::60] = -0.05
+    values = np.column_stack([TIME, size, ANGLE])
+    text = "t,i,q\n" + "\n".join(lines_of(",", values))
+    (note,) = load(tmp_path, text, "{time: t, current: i, angle: q}").notes
+    assert "`current` keeps one sign (5 of 300 samples have the other)" in note
+    assert "`unsigned: true`" in note
+    falling = np.column_stack([TIME, size, -TIME])
+    text = "t,i,q\n" + "\n".join(lines_of(",", falling))
+    with pytest.raises(InputError, match=r"keeps one sign .* state `unsigned: true`") as refused:
+        load(tmp_path, text, "{time: t, current: i, angle: q}")
+    assert "negate" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+@pytest.mark.parametrize("rate", [100.0, 400.0, 1000.0])
+def test_seconds_in_another_unit_are_doubted_with_the_scale(
+    tmp_path: Path, unit: str, scale: float, rate: float
+) -> None:
+    values = TRUTH.copy()
+    values[:, 0] = np.arange(N) / rate / scale
+    text = HEAD + "\n".join(lines_of(",", values))
+    doubt = f"if `time` is in {unit} ({rate:.4g} Hz), set its scale to {scale:g}"
+    assert any(doubt in note for note in load(tmp_path, text).notes)
+    assert any(doubt in words for words in look_at_file(tmp_path / "log.csv", PLAIN).doubts)
+    right = load(
+        tmp_path, text, CHANNELS.replace("time: t", f"time: {{column: t, scale: {scale}}}")
+    )
+    assert not any("median period" in note for note in right.notes)
+
+
+@pytest.mark.parametrize("pause", [6, 8, 30, 300])
+@pytest.mark.parametrize("burst", [8, 20, 120])
+def test_the_rhythm_of_a_log_is_no_gap(tmp_path: Path, burst: int, pause: int) -> None:
+    """Bursts with pauses are uneven sampling while the pauses are not long beside the bursts."""
+    count = 600
+    time = (np.arange(count) + (pause - 1) * (np.arange(count) // burst)) * 1e-3
+    values = np.column_stack([time, np.cos(3.0 * time), np.sin(3.0 * time), np.sin(3.0 * time)])
+    text = HEAD + "\n".join(lines_of(",", values))
+    channels = "{time: t, current: i, angle: q}"
+    mean = (burst - 1 + pause) / burst
+    (tmp_path / "log.csv").write_text(text)
+    (tmp_path / "c.yaml").write_text(
+        BENCH + f"recordings:\n  - file: log.csv\n    channels: {channels}\n"
+    )
+    if burst > 50:
+        assert len(load_source(tmp_path / "c.yaml").recordings) == 5, "pieces that are long enough"
+    elif pause <= 4.9 * mean:
+        (recording,) = load_source(tmp_path / "c.yaml").recordings
+        assert len(recording.time) == count
+        assert any("count as uneven sampling" in note for note in recording.notes)
+    elif pause > 5.1 * mean:
+        with pytest.raises(InputError, match=r"gaps leave no span of 50 samples .* even rate"):
+            load_source(tmp_path / "c.yaml")
+
+
 def test_a_load_that_pulls_one_way_is_no_doubt(tmp_path: Path) -> None:
     values = np.column_stack([TIME, 8.0 + 3.0 * np.cos(12.0 * TIME), ANGLE])
     text = "t,i,q\n" + "\n".join(lines_of(",", values))
@@ -205,6 +351,26 @@ def test_a_unit_beside_si_without_a_scale_is_doubted(tmp_path: Path) -> None:
     assert any("`current` is in mA" in note and "set the scale to 0.001" in note for note in notes)
     told = CHANNELS.replace("current: i", "current: {column: i, scale: 0.001}")
     assert not any("is in mA" in note for note in load(tmp_path, text, told).notes)
+
+
+def test_objects_of_matlab_are_left_out(tmp_path: Path) -> None:
+    """A `string` of MATLAB is an opaque element, which scipy reads but does not write."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    def flags(kind: int) -> bytes:
+        return element(6, struct.pack("<II", kind, 0))
+
+    held = flags(13) + element(5, struct.pack("<ii", 1, 1)) + element(1, b"")
+    held += element(6, struct.pack("<I", 3))
+    names = b"".join(element(1, name) for name in (b"s", b"MCOS", b"string"))
+    scipy.io.savemat(tmp_path / "o.mat", {"t": TIME, "i": CURRENT, "q": ANGLE})
+    with (tmp_path / "o.mat").open("ab") as file:
+        file.write(element(14, flags(17) + names + element(14, held)))
+    recording = load_file(tmp_path, "o.mat", "{time: t, current: i, angle: q}")
+    np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
+    assert any("left out: objects of MATLAB" in note for note in recording.notes)
 
 
 def test_structs_of_matlab_by_full_and_short_name(tmp_path: Path) -> None:

@@ -196,7 +196,7 @@ PLAIN = "file: a.csv"
         (power_off, SWITCHED, ["`voltage`: 1 missing samples interpolated"]),
         (repeat(20), PLAIN, ["20 samples with a repeated time stamp dropped"]),
         (times("t", 0.49 / PERIOD), PLAIN, []),
-        (times("t", 0.5 / PERIOD), PLAIN, ["median period 0.5 s: if `time` is in ms or us"]),
+        (times("t", 0.5 / PERIOD), PLAIN, ["median period 0.5 s: if `time` is in ms (2000 Hz)"]),
         (put("w", slice(None), 21.0), HOT, ["`temperature` is constant (21)"]),
         (geared(1.04), MOTOR, []),
         (geared(1.06), MOTOR, ["motor_angle / angle is 1.06, bench.gear_ratio is 1"]),

@@ -11,7 +11,7 @@ from typing import Any, Final
 import click
 
 from identification.recording import CHANNELS
-from rig.cli.authoring.questions import Answers, Listed, Quantity, Question
+from rig.cli.authoring.questions import UNKNOWN, Answers, Known, Listed, Quantity, Question
 from rig.cli.authoring.writing import fill
 from rig.common.errors import InputError
 from rig.config.campaign_sections import FITTED_TERMS, ReadSection
@@ -98,16 +98,17 @@ def questions(files: Sequence[DataFile] = ()) -> tuple[Question, ...]:
         ),
         Question(
             "torque_constant",
-            "Torque constant of the motor",
+            "Torque constant of the motor, or none for a fit in amperes",
             "N m/A",
-            default=0.03,
+            default=UNKNOWN,
+            kind=Known(min=0.0, min_open=True),
             when=has("current", "voltage"),
         ),
         Question(
             "back_emf_constant",
             "Back-EMF constant of the motor",
             "V s/rad",
-            default=lambda a: a["torque_constant"],
+            default=lambda a: None if a["torque_constant"] == UNKNOWN else a["torque_constant"],
             when=by_voltage,
         ),
         Question(
@@ -261,6 +262,7 @@ def _channels(file: DataFile, answers: Answers) -> dict[str, dict[str, Any]]:
             columns[channel] = guess.column, guess.scale
     return {
         channel: {"column": columns[channel][0], "scale": columns[channel][1], "offset": 0.0}
+        | ({"wraps_after": turn} if (turn := answers.get(f"{channel}_wraps_after")) else {})
         for channel in CHANNELS
         if channel in columns
     }

@@ -28,6 +28,17 @@ class Quantity(Number):
 
 
 POSITIVE = Quantity(min=0.0, min_open=True)
+UNKNOWN = "none"
+
+
+class Known(Quantity):
+    """A positive number, or `none` for a constant that is not known."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or :data:`UNKNOWN`, or fail with a message."""
+        if isinstance(value, str) and value.strip() == UNKNOWN:
+            return UNKNOWN
+        return super().convert(value, param, ctx)
 
 
 class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of click have no type argument

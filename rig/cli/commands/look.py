@@ -145,6 +145,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
     require_new(campaign, "campaign")
     names = tuple(column.name for column in look.columns)
     given: dict[str, Any] = {channel: NONE for channel in ASKED}
+    turns: dict[str, float | None] = {}
     for channel in ASKED:
         guess = look.guesses.get(channel)
         if guess is not None:
@@ -152,13 +153,14 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
             unique = names[place] and names.count(names[place]) == 1
             given[channel] = names[place] if unique else str(place)
             given[f"{channel}_scale"] = guess.scale
+            turns[f"{channel}_wraps_after"] = look.columns[place].turn
     file = DataFile(path, names, guess_mass(path.stem))
     stand_in = {"moment_arm": 0.1, "lever_ratio": 1.0} if file.mass_kg else {}
     if given["time"] == NONE:
         stand_in["rate"] = 1000.0
     if given["voltage"] != NONE and given["current"] == given["torque"] == NONE:
-        stand_in["resistance"] = 1.0
-    answers = ask_all(questions([file]), given | stand_in, None, lambda _: None, {})
+        stand_in |= {"resistance": 1.0, "back_emf_constant": 1.0}
+    answers = ask_all(questions([file]), given | stand_in, None, lambda _: None, {}) | turns
     told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
     told |= _beside(campaign, told)
     try:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from identification.effects.model import CorrectedModel, predictions, views_for
+from identification.estimate.bandwidth import choose_bandwidth
 from identification.plots.signals import predicted, simulated
-from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import (
     Response,
@@ -114,6 +115,7 @@ class Simulation:
         responses: Responses of the first model with full friction, in the order of the recordings.
         bandwidth_Hz: Bandwidth of the torque errors.
         provenance: Inputs, time.
+        short: Texts on recordings that are too short for the bandwidth and left out.
     """
 
     dataset: Dataset
@@ -124,6 +126,7 @@ class Simulation:
     responses: tuple[Response, ...]
     bandwidth_Hz: float
     provenance: Provenance
+    short: tuple[str, ...] = ()
 
     @property
     def unit(self) -> str:
@@ -166,10 +169,7 @@ def simulate_source(
     models = _models(dataset, results, records)
     bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
     try:
-        if bandwidth_Hz is None:
-            bandwidth_Hz = min(
-                default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings
-            )
+        dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
         predictions = predict(dataset, models, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
@@ -188,6 +188,7 @@ def simulate_source(
         tuple(responses),
         bandwidth_Hz,
         dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
+        short,
     )
 
 
@@ -289,18 +290,22 @@ def _explanations(found: Simulation) -> Iterator[str]:
 
 
 def _left_out(found: Simulation) -> list[str]:
-    """Return a remark if the closed loop is not simulated, or is simulated without the effects."""
+    """Return remarks on recordings that are left out, and if the closed loop is not simulated, or
+    is simulated without the effects.
+    """
     if not found.cases:
         return [
+            *found.short,
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
-            "a campaign)"
+            "a campaign)",
         ]
     if any(model.effects for _, model in found.models):
         return [
+            *found.short,
             "the closed loop is simulated without the effects; a simulated bench made from the "
-            "result contains the effects"
+            "result contains the effects",
         ]
-    return []
+    return list(found.short)
 
 
 def _errors_of_equations(found: Simulation) -> Table:

@@ -18,7 +18,8 @@ from identification.diagnosis.significance import beyond_noise, size_p_value
 from identification.diagnosis.within_limits import within_limits
 from identification.effects import MOTION
 from identification.effects.effect import Context
-from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
+from identification.estimate.bandwidth import common_bandwidth
+from identification.estimate.equation_error import LEAST_MOTION, samples_in_motion
 from identification.prepare import default_bandwidth, prepare
 from identification.recording import Array, Recording
 from identification.views.nominal import Nominal
