@@ -29,7 +29,7 @@ from identification.effects.effect import Context
 from identification.recording import Dataset, RecordingError
 from identification.views.view import views
 from rig.common.tables import table
-from rig.sources.load import load_source
+from rig.sources.build import load_source
 
 HEADINGS = (
     "campaign", "verdict", "effects and confidence", "unit", "noise", "fitted: nominal",

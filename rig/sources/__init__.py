@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rig.sources.load import load_source
+    from rig.sources.build import load_source
 
 __all__ = ["load_source"]
 
@@ -14,6 +14,6 @@ def __getattr__(name: str) -> Any:
     """Import the loader on demand: the process that reads one file does without it."""
     if name != "load_source":
         raise AttributeError(name)
-    from rig.sources.load import load_source
+    from rig.sources.build import load_source
 
     return load_source

@@ -20,7 +20,7 @@ from rig.common.errors import InputError
 from rig.config.campaign import load_campaign
 from rig.results.diagnose.diagnose import burning, without_torque
 from rig.results.diagnose.exports import GAS_FILE
-from rig.sources.load import load_source
+from rig.sources.build import load_source
 
 TIME = np.arange(0.0, 6.0, 0.01)
 STEPS = np.repeat([4.0, 20.0, 9.0, 26.0, 6.0, 14.0], 100)

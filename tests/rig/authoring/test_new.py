@@ -20,8 +20,8 @@ from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
 from rig.config.sequence import load_sequence
 from rig.runs.run import load_run
+from rig.sources.build import load_source
 from rig.sources.columns import guess_channels, guess_mass, is_linear
-from rig.sources.load import load_source
 from rig.terminal.prompt import InputEndedError
 
 SMALL = (
