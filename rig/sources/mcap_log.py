@@ -21,7 +21,8 @@ from mcap.stream_reader import StreamReader
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
 from rig.runs.mcap.reader import HEADER
-from rig.sources.json_file import (
+from rig.sources.table import Array, library, open_binary
+from rig.sources.text import (
     LONGEST_LIST,
     RowsTable,
     Stamp,
@@ -31,7 +32,6 @@ from rig.sources.json_file import (
     series,
     stamp_of,
 )
-from rig.sources.table import Array, library, open_binary
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
