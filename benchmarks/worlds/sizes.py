@@ -110,6 +110,9 @@ SIZES: Mapping[str, Draw] = {
         "time_s": log(15.0, 300.0)(r),
     },
     "supply_sag": lambda r, s: {"resistance_ohm": log(0.04, 0.5)(r) * s.supply / s.current},
+    "stray_loss": lambda r, s: {
+        "coefficient_Nms_A2rad": log(0.02, 0.2)(r) * s.Mc / (s.current**2 * s.speed)
+    },
     "backlash": lambda r, s: {"gap_rad": log(5e-4, 3e-2)(r) * s.travel},
     "compliance": lambda r, s: {"stiffness_Nm_rad": s.Mc / (log(5e-4, 1.5e-2)(r) * s.travel)},
     "gear_mesh_ripple": lambda r, s: {
@@ -152,6 +155,7 @@ SIZES: Mapping[str, Draw] = {
         "stiffness_Nm_rad": log(0.06, 0.8)(r) * s.Mc / s.travel,
         "rest_rad": even(-0.5, 0.5)(r) * s.travel,
     },
+    "constant_torque": lambda r, s: {"torque_Nm": either(0.05, 2.0)(r) * s.Mc},
     "end_stop": _stop,
     "load_exponent": lambda r, s: {"exponent": away_from(1.0, 0.05, 0.4)(r)},
     "load_position_dependence": lambda r, s: {"slope_per_rad": either(0.05, 0.6)(r) / s.travel},

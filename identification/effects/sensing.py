@@ -172,7 +172,7 @@ class CurrentOffset(Effect):
     coordinate = """direction: one constant torque in motion and at rest, at any speed, angle and
         load"""
     parameters = (Quantity("current_A", Dimension.CURRENT, -5.0, 5.0),)
-    look_alikes = ("asymmetric_coulomb", "gravity_imbalance", "current_drift")
+    look_alikes = ("asymmetric_coulomb", "constant_torque", "gravity_imbalance", "current_drift")
     experiment = """The logged current with the power stage off, while holding at rest after
         approaches from either side, and during full turns: an offset is the same in all these
         cases."""

@@ -24,6 +24,8 @@ OFF: Effects = {
     "current_loop_lag": {"time_s": 0.0},
     "winding_heating": {"rise_K_per_W": 0.0, "time_s": 60.0},
     "supply_sag": {"resistance_ohm": 0.0},
+    "stray_loss": {"coefficient_Nms_A2rad": 0.0},
+    "constant_torque": {"torque_Nm": 0.0},
     "transmission_efficiency": {"efficiency": 1.0},
     "asymmetric_coulomb": {"torque_Nm": 0.0},
     "stribeck_shape": {"alpha": 2.0},
@@ -49,6 +51,15 @@ def felt(weight_kg: float, exponent: float) -> float:
     force = weight_kg * 10.0 * 9.80665
     more = 3000.0 * (force / 3000.0) ** exponent - force
     return 0.095 * more * (0.052 + 0.032 * 0.5)
+
+
+def stray(weight_kg: float) -> float:
+    """Return the loss at 0.8 rad/s and 0.05 N m s/(A^2 rad): M - M_0 of M = M_0 + c I^2 omega."""
+    plain = nominal(0.8, weight_kg)
+    torque = plain
+    for _ in range(60):
+        torque = plain + 0.05 * (torque / PER_AMPERE) ** 2 * 0.8
+    return torque - plain
 
 
 def sided(name: str, key: str, size: float, at: float, to_side: Callable[[float], float]) -> list:
@@ -79,6 +90,12 @@ LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
         ({"load_inertia": {"inertia_kgm2": 0.5}}, 0.5, 20.0, 0.0),
         *((PIVOT, 0.5, weight, 1.2 * (weight > 0.0)) for weight in (0.0, 5.0, 30.6)),
         ({"current_offset": {"current_A": 0.4}}, 0.5, 0.0, 0.4 * PER_AMPERE),
+        *(({"constant_torque": {"torque_Nm": 9.0}}, side * 0.5, 0.0, -9.0) for side in (1.0, -1.0)),
+        *(
+            ({"stray_loss": {"coefficient_Nms_A2rad": 0.05}}, side * 0.8, weight, side * loss)
+            for side in (1.0, -1.0)
+            for weight, loss in ((0.0, stray(0.0)), (30.6, stray(30.6)))
+        ),
         (ROOT, 0.5, 0.0, 2.0 * (math.sqrt(0.5001) - 0.01)),
         (RESONANCE, 0.5, 0.0, 2.0),
         # Friction grows on the way out, to either side.

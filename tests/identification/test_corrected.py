@@ -62,6 +62,14 @@ def mean_step(v: View, knee: float) -> Array:
     return np.mean(np.tanh((before + (after - before) * share[:, None]) / knee), axis=0)
 
 
+def lossless(v: View, loss: float) -> Array:
+    """Return the current I of 3 I - loss I^2 omega = M, by iteration."""
+    current = asked(v) / 3.0
+    for _ in range(60):
+        current = (asked(v) + loss * current**2 * v.velocity) / 3.0
+    return current
+
+
 def one(v: View) -> Array:
     return np.ones(len(v.time))
 
@@ -79,6 +87,10 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
     ("torque_saturation", "drive"): (
         {"knee_A": 30.0, "rational": 0.0},
         lambda v: asked(v) - 90.0 * np.arctanh(asked(v) / 90.0),
+    ),
+    ("stray_loss", "drive"): (
+        {"coefficient_Nms_A2rad": 0.01},
+        lambda v: asked(v) - 3.0 * lossless(v, 0.01),
     ),
     ("transmission_efficiency", "drive"): (
         {"efficiency": 0.8},
@@ -112,6 +124,13 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
             )
         ),
     ),
+    ("friction_play", "torque"): (
+        {"gap_rad": 0.1, "friction_share": 0.8, "inertia_kgm2": 0.15},
+        lambda v: (
+            -np.where(play(v.angle, 0.1) * v.sense < 0.0499999, 1.0, 0.0)
+            * (0.8 * (system(v) + load(v)) + 0.15 * v.acceleration)
+        ),
+    ),
     ("position_dependent_friction", "torque"): (
         {"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05},
         lambda v: v.sense * np.exp(-0.5 * ((v.angle - 0.1) / 0.05) ** 2),
@@ -132,6 +151,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         {"stiffness_Nm_rad": 3.0, "rest_rad": 0.2},
         lambda v: 3.0 * (v.angle - 0.2),
     ),
+    ("constant_torque", "torque"): ({"torque_Nm": 0.4}, lambda v: -0.4 * one(v)),
     ("end_stop", "torque"): (
         {"angle_rad": 0.2, "stiffness_Nm_rad": 40.0, "other_rad": -0.25},
         lambda v: 40.0 * (np.maximum(v.angle - 0.2, 0.0) + np.minimum(v.angle + 0.25, 0.0)),
@@ -180,7 +200,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         lambda v: 0.8 * mean_step(v, 1.5),
     ),
     ("supply_sag", "voltage"): (
-        {"resistance_ohm": 0.2},
+        {"resistance_ohm": 0.2, "supply_V": 60.0},
         lambda v: 0.2 * v.current * (v.voltage / 60.0) ** 2,
     ),
 }

@@ -56,6 +56,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "brush_drop": {"voltage_V": log(0.1, 2.0), "current_A": log(0.3, 2.0)},
     "winding_heating": {"rise_K_per_W": log(0.03, 0.5), "time_s": log(60.0, 600.0)},
     "supply_sag": {"resistance_ohm": log(0.03, 0.8)},
+    "stray_loss": {"coefficient_Nms_A2rad": log(3e-3, 5e-2)},
     "backlash": {"gap_rad": log(1e-4, 1.5e-2)},
     "compliance": {"stiffness_Nm_rad": log(1.5e3, 1.5e5)},
     "gear_mesh_ripple": {
@@ -83,6 +84,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "coulomb_drift": {"rate_Nm_s": either(1e-4, 3e-3)},
     "gravity_imbalance": {"torque_Nm": log(0.1, 8.0), "zero_rad": _PHASE},
     "return_spring": {"stiffness_Nm_rad": log(0.3, 20.0), "rest_rad": even(-0.3, 0.3)},
+    "constant_torque": {"torque_Nm": either(0.05, 15.0)},
     "end_stop": {
         "angle_rad": lambda rng: float(rng.choice((-1.0, 1.0)) * rng.uniform(0.3, 0.46)),
         "stiffness_Nm_rad": log(5.0, 250.0),

@@ -306,6 +306,7 @@ def integrate(
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
+        torque -= e[table.STRAY_DRAG] * acting * acting * turning
         external = steady + device_torque(theta, omega, e)
         charge += current
         if two:
@@ -356,9 +357,9 @@ def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
     x[table.SUPPLY] = nominal
     if e[table.SAG_RESISTANCE] == 0.0:
         return voltage
-    x[table.SUPPLY] = max(
-        nominal - e[table.SAG_RESISTANCE] * voltage / nominal * s[loops.CURRENT], 0.0
-    )
+    refers = e[table.SAG_SUPPLY] if e[table.SAG_SUPPLY] > 0.0 else nominal
+    fall = e[table.SAG_RESISTANCE] * voltage / refers * s[loops.CURRENT] / refers
+    x[table.SUPPLY] = max(nominal * (1.0 - fall), 0.0)
     return float(voltage * x[table.SUPPLY] / nominal)
 
 

@@ -27,6 +27,8 @@ from typing import NamedTuple
     HEATING_TIME,
     HEATING_MAGNET,
     SAG_RESISTANCE,
+    SAG_SUPPLY,
+    STRAY_DRAG,
     GAP,
     STIFFNESS,
     MESH_AMPLITUDE,
@@ -56,6 +58,7 @@ from typing import NamedTuple
     GRAVITY_ZERO,
     SPRING_STIFFNESS,
     SPRING_REST,
+    CONSTANT_TORQUE,
     STOP_ANGLE,
     STOP_STIFFNESS,
     STOP_OTHER,
@@ -79,7 +82,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(68)
+) = range(71)
 
 
 class Parameter(NamedTuple):
@@ -122,7 +125,11 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "time_s": Parameter(HEATING_TIME, 1.0, 1e5),
         "magnet": Parameter(HEATING_MAGNET, 0.0, 1.0, 1.0),
     },
-    "supply_sag": {"resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0)},
+    "supply_sag": {
+        "resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0),
+        "supply_V": Parameter(SAG_SUPPLY, 0.0, 1e4, 0.0),
+    },
+    "stray_loss": {"coefficient_Nms_A2rad": Parameter(STRAY_DRAG, 0.0, 1.0)},
     "backlash": {"gap_rad": Parameter(GAP, 0.0, 0.1)},
     "compliance": {"stiffness_Nm_rad": Parameter(STIFFNESS, 300.0, 1e6)},
     "gear_mesh_ripple": {
@@ -170,6 +177,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "stiffness_Nm_rad": Parameter(SPRING_STIFFNESS, 0.0, 200.0),
         "rest_rad": Parameter(SPRING_REST, -3.2, 3.2),
     },
+    "constant_torque": {"torque_Nm": Parameter(CONSTANT_TORQUE, -300.0, 300.0)},
     "end_stop": {
         "angle_rad": Parameter(STOP_ANGLE, -3.2, 3.2),
         "stiffness_Nm_rad": Parameter(STOP_STIFFNESS, 0.0, 1e5),
@@ -206,7 +214,8 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
 """Slot and range of each parameter of each effect.
 
 ``recording`` counts the times that the power is switched on, from 1; ``at_s`` is the time since
-then.
+then. The resistance of ``supply_sag`` refers to ``supply_V``, or, if this is 0, to the machine's
+supply voltage.
 """
 
 
