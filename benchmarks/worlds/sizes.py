@@ -121,6 +121,11 @@ SIZES: Mapping[str, Draw] = {
         "phase_rad": _phase(r),
     },
     "transmission_efficiency": lambda r, s: {"efficiency": 1.0 - log(0.03, 0.25)(r)},
+    "gear_friction": lambda r, s: {
+        "travel_rad": log(2e-3, 3e-2)(r) * s.travel,
+        "against_motion": log(0.05, 0.3)(r),
+        "against_torque": log(0.01, 0.1)(r),
+    },
     "coupling_hysteresis": lambda r, s: {
         "torque_Nm": log(0.15, 1.0)(r) * s.Mc,
         "deflection_rad": log(5e-4, 1e-2)(r) * s.travel,

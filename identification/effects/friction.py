@@ -24,6 +24,7 @@ from identification.effects.effect import (
 )
 from identification.numerics.series import dahl, first_order_lag, play
 from identification.recording import Array
+from identification.signals import central_difference
 from identification.views.nominal import SPEEDS, Nominal
 from identification.views.view import View, recent, torque_scale, travel_scale
 
@@ -379,8 +380,8 @@ class FrictionPlay(Effect):
     The coefficients are the share of friction and the inertia behind the play.
     """
 
-    equation = """J domega/dt = i Km I - M_f - M_L, with (1 - s) M_f and J - J_s while the play of
-        width g is crossed"""
+    equation = """(J - J_s) domega/dt + J_s d(e omega)/dt = i Km I - (1 - s + s e) M_f - M_L; e is 0
+        while the play of width g is crossed, else 1"""
     implied = "friction acts as soon as the motion reverses, without clearance (eq. 9)"
     coordinate = """travel since reversal: friction is missing over a fixed travel after each
         reversal, and returns at once"""
@@ -406,7 +407,9 @@ class FrictionPlay(Effect):
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
         lead = play(view.angle, shape[0])
         loose = np.where(lead * view.sense < 0.5 * (1.0 - TOUCHING) * shape[0], 1.0, 0.0)
-        return rows(-loose * nominal.friction(view), -loose * view.acceleration)
+        # The part behind the play rests, and takes the speed of the rest as a flank meets it.
+        missing = central_difference(loose * view.velocity, view.step)
+        return rows(-loose * nominal.friction(view), -missing)
 
     def shapes(self, context: Context) -> Sequence[Shape]:
         if any(v.lag is not None for v in context.views):

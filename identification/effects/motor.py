@@ -605,9 +605,9 @@ class SupplySag(Effect):
     experiment = """One high current at rest, where the supply delivers little power, and in fast
         motion, where it delivers much power. A log of the supply voltage shows the effect
         directly."""
-    sentence = """the supply voltage falls by {resistance_ohm:ohm} times the supply current, and the
-        voltage at the winding with it; without load the supply has {supply_V:V}, or, if it was
-        neither logged nor declared, more, and the resistance is greater with its square"""
+    sentence = """the supply voltage, {supply_V:V} without load, falls by {resistance_ohm:ohm} times
+        the supply current, and the voltage at the winding with it (a supply that was neither logged
+        nor declared counts as the greatest voltage; the true resistance is then greater)"""
     positive = (0,)
     enters = ("voltage",)
     nonlinear = ("supply_V",)

@@ -70,6 +70,22 @@ def lossless(v: View, loss: float) -> Array:
     return current
 
 
+def built_up(v: View, travel: float, motion: float, torque: float) -> Array:
+    """Return the drive's torque M of M - a |M| z - d M z^2 = what is asked, by iteration."""
+    z = np.zeros(len(v.angle))
+    for k in range(1, len(z)):
+        step = v.angle[k] - v.angle[k - 1]
+        z[k] = np.sign(step) + (z[k - 1] - np.sign(step)) * np.exp(-abs(step) / travel)
+    drive = asked(v)
+    for _ in range(60):
+        drive = asked(v) + motion * np.abs(drive) * z + torque * drive * z**2
+    return drive
+
+
+def loose(v: View, gap: float) -> Array:
+    return np.where(play(v.angle, gap) * v.sense < 0.499999 * gap, 1.0, 0.0)
+
+
 def one(v: View) -> Array:
     return np.ones(len(v.time))
 
@@ -95,6 +111,10 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
     ("transmission_efficiency", "drive"): (
         {"efficiency": 0.8},
         lambda v: asked(v) * np.where(asked(v) * v.velocity >= 0.0, -0.25, 0.2),
+    ),
+    ("gear_friction", "drive"): (
+        {"travel_rad": 0.02, "against_motion": 0.2, "against_torque": 0.1},
+        lambda v: asked(v) - built_up(v, 0.02, 0.2, 0.1),
     ),
     ("current_offset", "drive"): ({"current_A": 0.3}, lambda v: -0.9 * one(v)),
     ("current_drift", "drive"): (
@@ -127,8 +147,8 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
     ("friction_play", "torque"): (
         {"gap_rad": 0.1, "friction_share": 0.8, "inertia_kgm2": 0.15},
         lambda v: (
-            -np.where(play(v.angle, 0.1) * v.sense < 0.0499999, 1.0, 0.0)
-            * (0.8 * (system(v) + load(v)) + 0.15 * v.acceleration)
+            -0.8 * loose(v, 0.1) * (system(v) + load(v))
+            - 0.15 * np.gradient(loose(v, 0.1) * v.velocity, v.time)
         ),
     ),
     ("position_dependent_friction", "torque"): (

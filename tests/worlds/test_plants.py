@@ -347,7 +347,7 @@ CASES = (
 )
 APART = frozenset(
     {
-        "torque_ripple", "inverter_dead_time", "backlash", "gear_mesh_ripple",
+        "torque_ripple", "inverter_dead_time", "backlash", "gear_friction", "gear_mesh_ripple",
         "coupling_hysteresis",
     }
 )  # fmt: skip

@@ -65,6 +65,11 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "phase_rad": _PHASE,
     },
     "transmission_efficiency": {"efficiency": lambda rng: 1.0 - log(0.02, 0.3)(rng)},
+    "gear_friction": {
+        "travel_rad": log(2e-3, 3e-2),
+        "against_motion": log(0.05, 0.3),
+        "against_torque": log(0.01, 0.1),
+    },
     "coupling_hysteresis": {"torque_Nm": log(1.0, 8.0), "deflection_rad": log(1e-4, 5e-3)},
     "asymmetric_coulomb": {"torque_Nm": either(0.05, 2.5)},
     "asymmetric_viscous": {"coefficient_Nms_rad": either(0.1, 2.5)},

@@ -284,7 +284,7 @@ def integrate(
     omega, theta, current = s[loops.OMEGA], x[table.JOINT], s[loops.CURRENT]
     rotor, turning = s[loops.THETA], x[table.ROTOR_SPEED]
     effective, bristles = x[table.TORQUE_CURRENT], x[table.BRISTLES]
-    transmitted, play = x[table.TRANSMITTED], x[table.PLAY]
+    transmitted, play, wound = x[table.TRANSMITTED], x[table.PLAY], x[table.WOUND]
     external = friction_work = charge = 0.0
     warm = 1.0 + MAGNET_PER_K * x[table.HEAT] * e[table.HEATING_MAGNET]
     dead = dead_time_voltage(x[table.SUPPLY], e[at + table.NOMINAL_SUPPLY], e)
@@ -307,6 +307,9 @@ def integrate(
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
         torque -= e[table.STRAY_DRAG] * acting * acting * turning
+        torque -= wound * (
+            e[table.WIND_MOTION] * abs(torque) + e[table.WIND_TORQUE] * torque * wound
+        )
         external = steady + device_torque(theta, omega, e)
         charge += current
         if two:
@@ -416,6 +419,9 @@ def advance(
         renew(w, p, e, x, before)
         charge = integrate(s, x, d, w, e, power_stage(s, x, e, voltage), powered, decay, resistance)
         remember(w, p, e, x, before, s[loops.OMEGA], period)
+        if e[table.WIND_TRAVEL] > 0.0:
+            moved = s[loops.OMEGA] * period / e[table.WIND_TRAVEL]
+            x[table.WOUND] = (x[table.WOUND] + moved) / (1.0 + abs(moved))
         if e[TRAVEL_TORQUE] != 0.0:
             moved = s[loops.OMEGA] * period / e[TRAVEL_LENGTH]
             x[table.TRAVEL] = (x[table.TRAVEL] + moved) / (1.0 + abs(moved))

@@ -36,6 +36,9 @@ from typing import NamedTuple
     MESH_PHASE,
     MESH_WITH_TORQUE,
     EFFICIENCY,
+    WIND_TRAVEL,
+    WIND_MOTION,
+    WIND_TORQUE,
     HYSTERESIS_TORQUE,
     HYSTERESIS_DEFLECTION,
     ASYMMETRIC_COULOMB,
@@ -82,7 +85,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(71)
+) = range(74)
 
 
 class Parameter(NamedTuple):
@@ -139,6 +142,11 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "with_torque": Parameter(MESH_WITH_TORQUE, 0.0, 1.0, 1.0),
     },
     "transmission_efficiency": {"efficiency": Parameter(EFFICIENCY, 0.3, 1.0)},
+    "gear_friction": {
+        "travel_rad": Parameter(WIND_TRAVEL, 1e-6, 1.0),
+        "against_motion": Parameter(WIND_MOTION, 0.0, 0.6),
+        "against_torque": Parameter(WIND_TORQUE, 0.0, 0.35),
+    },
     "coupling_hysteresis": {
         "torque_Nm": Parameter(HYSTERESIS_TORQUE, 0.1, 100.0),
         "deflection_rad": Parameter(HYSTERESIS_DEFLECTION, 0.0, 0.05),
@@ -231,6 +239,7 @@ supply voltage.
     BRISTLES,  # rad
     FALLING,  # N m, delayed part of friction that falls with speed; or the delayed speed, rad/s
     GROWN,  # N m, increase of the static limit by time at rest
+    WOUND,  # state of the gear's friction, -1 to 1
     TRAVEL,  # state of the friction with long presliding travel, -1 to 1
     ACCELERATION,  # rad/s^2, smoothed
     TRANSMITTED,  # N m, torque at the gear's output
@@ -240,7 +249,7 @@ supply voltage.
     SEEN,  # joint angle as its encoder measures it, rad
     LOOP,  # drive-loop periods since the machine was built
     EXTRA_SIZE,
-) = range(20)
+) = range(21)
 
 # Indices after the effects in the effect vector: constants that the formulas of the effects need.
 (
