@@ -179,6 +179,11 @@ SIZES: Mapping[str, Draw] = {
     "transport_delay": lambda r, s: {"time_s": log(1e-3, 1.5e-2)(r)},
     "current_offset": lambda r, s: {"current_A": either(0.01, 0.15)(r) * s.current},
     "current_drift": lambda r, s: {"rate_A_s": either(0.02, 0.2)(r) * s.current / 30.0},
+    "encoder_ripple": lambda r, s: {
+        "amplitude_rad": log(2e-3, 3e-2)(r),
+        "per_turn": one_of(1.0, 2.0, 4.0)(r),
+        "phase_rad": _phase(r),
+    },
     "encoder_eccentricity": lambda r, s: {
         "amplitude_rad": log(3e-4, 1e-2)(r),
         "phase_rad": _phase(r),
@@ -246,10 +251,13 @@ NEEDS: Mapping[str, frozenset[str]] = {
     ),
     **dict.fromkeys(("load_swing", "load_position_dependence"), frozenset({"lever"})),
     **dict.fromkeys(
-        ("backlash", "compliance", "coupling_hysteresis"), frozenset({"motor encoder"})
+        ("backlash", "compliance", "coupling_hysteresis", "encoder_ripple"),
+        frozenset({"motor encoder"}),
     ),
-    "transmission_efficiency": frozenset({"known torque"}),
-    "load_dependent_friction": frozenset({"known torque"}),
+    **dict.fromkeys(
+        ("transmission_efficiency", "gear_friction", "load_dependent_friction"),
+        frozenset({"known torque"}),
+    ),
     # A low-pass filter of the current has the same delay as these effects.
     **dict.fromkeys(("time_skew", "current_loop_lag"), frozenset({"unfiltered current"})),
     "stribeck_shape": frozenset({"fall"}),

@@ -73,6 +73,9 @@ RESONANCE: Effects = {
 }
 QUADRANT: Effects = {"x_quadrant_friction": {"torque_Nm": 1.5}}
 PIVOT: Effects = {"lever_pivot_friction": {"torque_Nm": 1.2}}
+WOUND: Effects = {
+    "gear_friction": {"travel_rad": 0.01, "against_motion": 0.2, "against_torque": 0.05}
+}
 LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
 
 
@@ -90,6 +93,10 @@ LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
         ({"load_inertia": {"inertia_kgm2": 0.5}}, 0.5, 20.0, 0.0),
         *((PIVOT, 0.5, weight, 1.2 * (weight > 0.0)) for weight in (0.0, 5.0, 30.6)),
         ({"current_offset": {"current_A": 0.4}}, 0.5, 0.0, 0.4 * PER_AMPERE),
+        *(
+            (WOUND, side * 0.5, 20.0, side * (0.25 / 0.75) * nominal(0.5, 20.0))
+            for side in (1.0, -1.0)
+        ),
         *(({"constant_torque": {"torque_Nm": 9.0}}, side * 0.5, 0.0, -9.0) for side in (1.0, -1.0)),
         *(
             ({"stray_loss": {"coefficient_Nms_A2rad": 0.05}}, side * 0.8, weight, side * loss)
@@ -381,3 +388,10 @@ def test_a_rotor_heavier_than_the_whole_is_refused() -> None:
     heavy = replace(Machine(), motor=replace(Machine().motor, rotor_inertia_kg_m2=3e-5))
     with pytest.raises(ValueError, match="needs inertia on both sides"):
         effect_vector(replace(heavy, effects={"backlash": {"gap_rad": 0.01}}))
+
+
+def test_the_motor_encoder_swings_within_a_turn() -> None:
+    ripple = {"amplitude_rad": 0.02, "per_turn": 2.0, "phase_rad": 0.3}
+    free = Track({"encoder_ripple": ripple}, cruise(0.2))
+    error = free.motor - free.angle
+    assert error == pytest.approx(2e-4 * np.sin(2.0 * 100.0 * free.angle + 0.3), abs=3e-6)

@@ -82,6 +82,12 @@ def built_up(v: View, travel: float, motion: float, torque: float) -> Array:
     return drive
 
 
+def misread(v: View) -> Array:
+    """Return the nominal torque of an error of the reading of 0.2 mrad at the joint."""
+    speed = np.gradient(2e-4 * np.sin(2.0 * v.motor + 0.3), v.time)
+    return 0.2 * np.gradient(speed, v.time) + (5.3 + 0.032 * v.moment) * speed
+
+
 def loose(v: View, gap: float) -> Array:
     return np.where(play(v.angle, gap) * v.sense < 0.499999 * gap, 1.0, 0.0)
 
@@ -143,6 +149,10 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
                 - np.exp(-(np.abs(v.velocity / 0.033) ** 2.0))
             )
         ),
+    ),
+    ("encoder_ripple", "torque"): (
+        {"amplitude_rad": 0.02, "per_turn": 2.0, "phase_rad": 0.3, "at_motor": 1.0},
+        lambda v: -misread(v),
     ),
     ("friction_play", "torque"): (
         {"gap_rad": 0.1, "friction_share": 0.8, "inertia_kgm2": 0.15},

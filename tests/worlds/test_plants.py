@@ -347,7 +347,8 @@ CASES = (
 )
 APART = frozenset(
     {
-        "torque_ripple", "inverter_dead_time", "backlash", "gear_friction", "gear_mesh_ripple",
+        "torque_ripple", "inverter_dead_time", "backlash", "encoder_ripple", "gear_friction",
+        "gear_mesh_ripple",
         "coupling_hysteresis",
     }
 )  # fmt: skip

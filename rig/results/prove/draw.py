@@ -162,7 +162,7 @@ SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "ou
 proportions.
 """
 
-_NEEDS_GRAVITY = frozenset({"load_dependent_friction"})
+_NEEDS_GRAVITY = frozenset({"load_dependent_friction", "gear_friction"})
 _NEEDS_LEVER = frozenset(
     {
         "load_exponent",

@@ -12,7 +12,7 @@ import pytest
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis, Verdict
-from identification.recording import Dataset, Recording
+from identification.recording import Dataset, Pendulum, Recording
 
 from .benches import campaign
 
@@ -81,3 +81,31 @@ def test_with_one_encoder_a_gap_is_a_travel_without_friction() -> None:
     (effect,) = found({"backlash": {"gap_rad": 0.02}}, 3, "angle").effects
     assert effect.alias_group == ("friction_play", "backlash")
     assert effect.parameters["friction_share"].value == pytest.approx(1.0, abs=0.05)
+
+
+def test_friction_of_a_gear_grows_with_its_torque_and_builds_up_over_a_travel() -> None:
+    hidden = {
+        "gear_friction": {"travel_rad": 0.01, "against_motion": 0.15, "against_torque": 0.05},
+        "gravity_imbalance": {"torque_Nm": 20.0, "zero_rad": 0.3},
+    }
+    weight = Pendulum(mass=20.0 / 9.80665 / 0.02, length=0.02, zero=0.3)
+    recordings = tuple(replace(r, pendulum=weight) for r in campaign(hidden, 3, 8.0))
+    (effect,) = diagnose(Dataset(recordings), rng=np.random.default_rng(0)).effects
+    assert effect.alias_group == ("gear_friction",)
+    found = {n: p.value for n, p in effect.parameters.items()}
+    assert found["travel_rad"] == pytest.approx(0.01, rel=0.15)
+    assert found["against_motion"] + found["against_torque"] == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize(("seed", "cycles"), [(3, 1.0), (4, 2.0)])
+def test_an_encoder_that_swings_is_no_cogging(seed: int, cycles: float) -> None:
+    hidden = {"amplitude_rad": 0.02, "per_turn": cycles, "phase_rad": 0.5}
+    (effect,) = found({"encoder_ripple": hidden}, seed, "angle").effects
+    assert effect.alias_group == ("encoder_ripple",)
+    assert effect.parameters["per_turn"].value == cycles
+    assert effect.parameters["amplitude_rad"].value == pytest.approx(0.02, rel=0.1)
+    assert effect.parameters["phase_rad"].value == pytest.approx(0.5, abs=0.1)
+
+
+def test_with_one_encoder_a_machine_that_hides_nothing_raises_no_alarm() -> None:
+    assert found({}, 5, "angle").verdict is Verdict.NOTHING_MISSING

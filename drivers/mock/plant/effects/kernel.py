@@ -191,6 +191,16 @@ def cogging(shaft: float, e: Vector) -> float:
     )
 
 
+@inlined
+def read_rotor(rotor: float, e: Vector) -> float:
+    """Return the rotor's angle over the gear ratio, as the encoder of the motor reads it, rad."""
+    if e[table.READING_RIPPLE] == 0.0:
+        return rotor
+    gear = e[CONSTANTS_AT + table.GEAR]
+    wave = math.sin(e[table.READING_ORDER] * rotor * gear + e[table.READING_PHASE])
+    return float(rotor + e[table.READING_RIPPLE] * wave / gear)
+
+
 Histories = NDArray[np.float64]
 """Joint angles and mean currents of the last loop periods, shape (2, table.HISTORY)."""
 

@@ -79,13 +79,17 @@ from typing import NamedTuple
     DELAY_TIME,
     CURRENT_OFFSET,
     CURRENT_DRIFT,
+    READING_RIPPLE,
+    READING_ORDER,
+    READING_PHASE,
+    READING_AT_MOTOR,
     ECCENTRICITY,
     ECCENTRICITY_PHASE,
     SLIP_ANGLE,
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(74)
+) = range(78)
 
 
 class Parameter(NamedTuple):
@@ -209,6 +213,12 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "transport_delay": {"time_s": Parameter(DELAY_TIME, 0.0, _LONGEST_DELAY_S)},
     "current_offset": {"current_A": Parameter(CURRENT_OFFSET, -5.0, 5.0)},
     "current_drift": {"rate_A_s": Parameter(CURRENT_DRIFT, -0.5, 0.5)},
+    "encoder_ripple": {
+        "amplitude_rad": Parameter(READING_RIPPLE, 0.0, 0.5),
+        "per_turn": Parameter(READING_ORDER, 0.01, 100.0),
+        "phase_rad": Parameter(READING_PHASE, *_PHASE),
+        "at_motor": Parameter(READING_AT_MOTOR, 1.0, 1.0, 1.0),
+    },
     "encoder_eccentricity": {
         "amplitude_rad": Parameter(ECCENTRICITY, 0.0, 0.1),
         "phase_rad": Parameter(ECCENTRICITY_PHASE, *_PHASE),
