@@ -163,7 +163,7 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
     sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first stop acts above
     ``angle_rad`` and the second stop below ``other_rad``.
     """
-    torque = e[table.CONSTANT_TORQUE]
+    torque = float(e[table.CONSTANT_TORQUE])
     if e[table.GRAVITY_TORQUE] != 0.0:
         torque -= e[table.GRAVITY_TORQUE] * math.sin(theta - e[table.GRAVITY_ZERO])
     if e[table.SPRING_STIFFNESS] != 0.0:
