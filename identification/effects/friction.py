@@ -356,6 +356,8 @@ class Presliding(Effect):
         )
 
     def shapes(self, context: Context) -> Sequence[Shape]:
+        if context.nominal.play:  # the contact is elastic over the travel after the play
+            return []
         scale = torque_scale(context.views) / travel_scale(context.views)
         return [(float(k * scale),) for k in STIFFNESSES]
 
@@ -412,7 +414,7 @@ class FrictionPlay(Effect):
         return rows(-loose * nominal.friction(view), -missing)
 
     def shapes(self, context: Context) -> Sequence[Shape]:
-        if any(v.lag is not None for v in context.views):
+        if context.nominal.presliding_stiffness or any(v.lag is not None for v in context.views):
             return ()
         travel = max(float(np.ptp(v.angle)) for v in context.views)
         return [(float(share * travel),) for share in PLAY_SHARES]
@@ -426,6 +428,11 @@ class FrictionPlay(Effect):
 
     def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
         return (values["gap_rad"],), (values["friction_share"], values["inertia_kgm2"])
+
+    def feeds_back(
+        self, nominal: Nominal, shape: Shape, _coefficients: tuple[float, ...]
+    ) -> Nominal:
+        return replace(nominal, play=shape[0])
 
     def indistinct(
         self, _parameters: Mapping[str, float], _views: Sequence[View]
