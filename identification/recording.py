@@ -52,6 +52,7 @@ class Bench:
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
         inductance: L, H.
+        supply_voltage: Voltage of the supply without load, V, or None if unknown.
         gear_ratio: i, motor turns per joint turn (assumption 5, theta = i theta_r); on a linear
             bench rad/m.
         moment_arm: L1, m (eq. 13).
@@ -66,6 +67,7 @@ class Bench:
     back_emf_constant: float | None = None
     resistance: float | None = None
     inductance: float | None = None
+    supply_voltage: float | None = None
     gear_ratio: float = 1.0
     moment_arm: float | None = None
     lever_ratio: float = 10.0

@@ -110,6 +110,9 @@ SIZES: Mapping[str, Draw] = {
         "time_s": log(15.0, 300.0)(r),
     },
     "supply_sag": lambda r, s: {"resistance_ohm": log(0.04, 0.5)(r) * s.supply / s.current},
+    "stray_loss": lambda r, s: {
+        "coefficient_Nms_A2rad": log(0.02, 0.2)(r) * s.Mc / (s.current**2 * s.speed)
+    },
     "backlash": lambda r, s: {"gap_rad": log(5e-4, 3e-2)(r) * s.travel},
     "compliance": lambda r, s: {"stiffness_Nm_rad": s.Mc / (log(5e-4, 1.5e-2)(r) * s.travel)},
     "gear_mesh_ripple": lambda r, s: {
@@ -118,6 +121,11 @@ SIZES: Mapping[str, Draw] = {
         "phase_rad": _phase(r),
     },
     "transmission_efficiency": lambda r, s: {"efficiency": 1.0 - log(0.03, 0.25)(r)},
+    "gear_friction": lambda r, s: {
+        "travel_rad": log(2e-3, 3e-2)(r) * s.travel,
+        "against_motion": log(0.05, 0.3)(r),
+        "against_torque": log(0.01, 0.1)(r),
+    },
     "coupling_hysteresis": lambda r, s: {
         "torque_Nm": log(0.15, 1.0)(r) * s.Mc,
         "deflection_rad": log(5e-4, 1e-2)(r) * s.travel,
@@ -152,6 +160,7 @@ SIZES: Mapping[str, Draw] = {
         "stiffness_Nm_rad": log(0.06, 0.8)(r) * s.Mc / s.travel,
         "rest_rad": even(-0.5, 0.5)(r) * s.travel,
     },
+    "constant_torque": lambda r, s: {"torque_Nm": either(0.05, 2.0)(r) * s.Mc},
     "end_stop": _stop,
     "load_exponent": lambda r, s: {"exponent": away_from(1.0, 0.05, 0.4)(r)},
     "load_position_dependence": lambda r, s: {"slope_per_rad": either(0.05, 0.6)(r) / s.travel},
@@ -170,6 +179,11 @@ SIZES: Mapping[str, Draw] = {
     "transport_delay": lambda r, s: {"time_s": log(1e-3, 1.5e-2)(r)},
     "current_offset": lambda r, s: {"current_A": either(0.01, 0.15)(r) * s.current},
     "current_drift": lambda r, s: {"rate_A_s": either(0.02, 0.2)(r) * s.current / 30.0},
+    "encoder_ripple": lambda r, s: {
+        "amplitude_rad": log(2e-3, 3e-2)(r),
+        "per_turn": one_of(1.0, 2.0, 4.0)(r),
+        "phase_rad": _phase(r),
+    },
     "encoder_eccentricity": lambda r, s: {
         "amplitude_rad": log(3e-4, 1e-2)(r),
         "phase_rad": _phase(r),
@@ -237,10 +251,13 @@ NEEDS: Mapping[str, frozenset[str]] = {
     ),
     **dict.fromkeys(("load_swing", "load_position_dependence"), frozenset({"lever"})),
     **dict.fromkeys(
-        ("backlash", "compliance", "coupling_hysteresis"), frozenset({"motor encoder"})
+        ("backlash", "compliance", "coupling_hysteresis", "encoder_ripple"),
+        frozenset({"motor encoder"}),
     ),
-    "transmission_efficiency": frozenset({"known torque"}),
-    "load_dependent_friction": frozenset({"known torque"}),
+    **dict.fromkeys(
+        ("transmission_efficiency", "gear_friction", "load_dependent_friction"),
+        frozenset({"known torque"}),
+    ),
     # A low-pass filter of the current has the same delay as these effects.
     **dict.fromkeys(("time_skew", "current_loop_lag"), frozenset({"unfiltered current"})),
     "stribeck_shape": frozenset({"fall"}),

@@ -125,6 +125,9 @@ def implausible(joint: Joint) -> str:
     bench, or an infeasible fit (:func:`infeasible`), for example a fit whose static friction would
     be below Coulomb friction.
     """
+    for effect in joint.effects:
+        if why := effect.term.impossible(effect.coefficients, joint.nominal):
+            return why
     if infeasible(joint):
         return "nominal parameters outside their physical limits"
     last = joint.effects[-1]
@@ -169,6 +172,7 @@ def _scale(dimension: Dimension, views: Sequence[View], nominal: Nominal) -> flo
         Dimension.STIFFNESS: torque / angle,
         Dimension.VISCOSITY: torque / speed,
         Dimension.DRAG: torque / speed**2,
+        Dimension.STRAY: torque / (current**2 * speed),
         # The inertia of a load is stated for the reference mass. The scale is that of the
         # identified inertia too, because a fast machine moves more inertia than follows from
         # torque, travel and speed.

@@ -535,14 +535,19 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
             width = max((c.shape[1] for c in its.values()), default=0)
             if not width or term.freedom + width > parameter_count(own):
                 continue
-            if _unexplained_share(stack, made, its) <= least:
+            unexplained, coefficients = _unexplained_share(stack, made, its)
+            if unexplained <= least and not term.impossible(coefficients, without.nominal):
                 found.append(term.name)
                 break
     return found
 
 
-def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) -> float:
-    """Return the share of a contribution's squares that regressors do not explain."""
+def _unexplained_share(
+    stack: Stack, made: Array, columns: Mapping[str, Array]
+) -> tuple[float, tuple[float, ...]]:
+    """Return the share of a contribution's squares that regressors do not explain, and the
+    coefficients of these regressors.
+    """
     whole = stack.whitened(columns)
     square = whole.T @ whole
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
@@ -552,5 +557,6 @@ def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) 
     along = stack.effect_basis.T @ whole
     square -= along.T @ along
     score = whole.T @ made
-    contained = float(score @ np.linalg.pinv(square, rcond=1e-9, hermitian=True) @ score)
-    return 1.0 - contained / max(float(made @ made), 1e-300)
+    fitted = np.linalg.pinv(square, rcond=1e-9, hermitian=True) @ score
+    share = 1.0 - float(score @ fitted) / max(float(made @ made), 1e-300)
+    return share, tuple(fitted.tolist())

@@ -127,7 +127,12 @@ def finalist_groups(
 
 
 def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
-    return [c for c in ranked if c.score > RULES.rival_share * ranked[0].score][: RULES.finalists]
+    """Return the candidates with the greatest scores; effects with one regressor, whose scores are
+    equal, count as one.
+    """
+    near = [c for c in ranked if c.score > RULES.rival_share * ranked[0].score]
+    scores = sorted({float(f"{c.score:.9g}") for c in near}, reverse=True)[: RULES.finalists]
+    return [c for c in near if float(f"{c.score:.9g}") in scores]
 
 
 def unscored(

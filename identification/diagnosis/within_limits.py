@@ -80,11 +80,13 @@ class _Point:
 
 def infeasible(joint: Joint) -> bool:
     """Whether a fit is infeasible: its residual, after refinement within the limits of the
-    parameters, is far greater than the fit without limits predicts. Effects of an infeasible fit
-    are not accepted.
+    parameters, is far greater than the fit without limits predicts, or no machine has one of its
+    effects. Effects of an infeasible fit are not accepted.
     """
     if joint not in _JUDGED:
-        _JUDGED[joint] = infeasible_as_fitted(joint) and not _attained_within_limits(joint)
+        _JUDGED[joint] = any(
+            e.term.impossible(e.coefficients, joint.nominal) for e in joint.effects
+        ) or (infeasible_as_fitted(joint) and not _attained_within_limits(joint))
     return _JUDGED[joint]
 
 

@@ -137,7 +137,7 @@ class ReturnSpring(Effect):
         Quantity("stiffness_Nm_rad", Dimension.STIFFNESS, 0.0, 200.0),
         Quantity("rest_rad", Dimension.ANGLE, -pi, pi),
     )
-    look_alikes = ("gravity_imbalance", "end_stop", "current_offset", "asymmetric_coulomb")
+    look_alikes = ("gravity_imbalance", "end_stop", "constant_torque", "current_offset")
     experiment = GravityImbalance.experiment
     separation = Separation.TRAVEL
     sentence = "a spring of {stiffness_Nm_rad:N m/deg} pulls the joint toward {rest_rad:deg}"
@@ -161,6 +161,34 @@ class ReturnSpring(Effect):
     ) -> Nominal:
         slope, constant = coefficients
         return _with_load(nominal, 0.0, 0.0, slope, -constant)
+
+
+class ConstantTorque(Effect):
+    """Torque on the joint that is the same at any angle, as of a hanging mass or a pressure."""
+
+    equation = "J domega/dt = i Km I - M_f - M_L + M_0"
+    implied = "nothing but friction loads the joint (eq. 1)"
+    coordinate = """direction: a constant torque in motion and at rest, at any speed, angle and
+        load"""
+    parameters = (Quantity("torque_Nm", Dimension.TORQUE, -200.0, 200.0),)
+    look_alikes = ("asymmetric_coulomb", "current_offset", "gravity_imbalance", "return_spring")
+    experiment = """The joint released at rest, with the power stage off: a load above static
+        friction moves the joint, friction never does. A load below static friction is shown by the
+        other side of the machine: without the load, the torque is gone, and an asymmetry of
+        friction or an offset of the current remains."""
+    sentence = """a constant torque of {torque_Nm:abs N m} drives the joint
+        {torque_Nm:?forward/backward}, at any angle and speed"""
+    shape_error = EXACT
+    declared_by = "constant_torque"
+
+    @staticmethod
+    def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+        return rows(-np.ones(len(view.time)))
+
+    def feeds_back(
+        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
+    ) -> Nominal:
+        return _with_load(nominal, 0.0, 0.0, 0.0, -coefficients[0])
 
 
 class EndStop(Effect):

@@ -57,6 +57,7 @@ class Dimension(Enum):
     STIFFNESS = "stiffness", "N m/rad"
     VISCOSITY = "viscosity", "N m s/rad"
     DRAG = "drag", "N m s^2/rad^2"
+    STRAY = "stray drag", "N m s/(A^2 rad)"
     INERTIA = "inertia", "kg m^2"
     MASS = "mass", "kg"
     CURRENT = "current", "A"
@@ -352,6 +353,10 @@ class Effect:
         of other effects depend.
         """
         return nominal
+
+    def impossible(self, _coefficients: tuple[float, ...], _nominal: Nominal) -> str:
+        """Return why no machine has these coefficients at these values; empty if one may."""
+        return ""
 
     def indistinct(
         self, _parameters: Mapping[str, float], _views: Sequence[View]

@@ -22,8 +22,9 @@ from identification.effects.effect import (
     Shape,
     rows,
 )
-from identification.numerics.series import dahl, first_order_lag
+from identification.numerics.series import dahl, first_order_lag, play
 from identification.recording import Array
+from identification.signals import central_difference
 from identification.views.nominal import SPEEDS, Nominal
 from identification.views.view import View, recent, torque_scale, travel_scale
 
@@ -44,6 +45,10 @@ LAGS: tuple[Shape, ...] = tuple(
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
 STIFFNESSES = np.geomspace(3e2, 1e6, 15)
 """Trial stiffnesses of presliding on the practical bench, N m/rad."""
+PLAY_SHARES = tuple(float(s) for s in np.geomspace(0.004, 0.5, 12))
+"""Trial widths of a play, relative to the travel."""
+TOUCHING = 1e-6
+"""Distance from a flank of a play up to which the flank drives, relative to half the play."""
 STEADY_S = 1e6
 """Time constant of a drift that does not level off, s."""
 WARM_UPS_S: tuple[Shape, ...] = tuple((t,) for t in (20.0, 60.0, 150.0, 400.0))
@@ -126,6 +131,7 @@ class AsymmetricCoulomb(Effect):
         none at rest"""
     parameters = (Quantity("torque_Nm", Dimension.TORQUE, -20.0, 20.0),)
     look_alikes = (
+        "constant_torque",
         "current_offset",
         "asymmetric_viscous",
         "gravity_imbalance",
@@ -142,6 +148,11 @@ class AsymmetricCoulomb(Effect):
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(np.ones(len(view.time)))
+
+    def impossible(self, coefficients: tuple[float, ...], nominal: Nominal) -> str:
+        if abs(coefficients[0]) <= nominal.values.get("Mc", np.inf):
+            return ""
+        return "friction that drives the motion in one direction"
 
 
 class AsymmetricViscous(Effect):
@@ -345,6 +356,8 @@ class Presliding(Effect):
         )
 
     def shapes(self, context: Context) -> Sequence[Shape]:
+        if context.nominal.play:  # the contact is elastic over the travel after the play
+            return []
         scale = torque_scale(context.views) / travel_scale(context.views)
         return [(float(k * scale),) for k in STIFFNESSES]
 
@@ -360,6 +373,72 @@ class Presliding(Effect):
         channels = [v.recording.channels for v in views]
         one_encoder = all("motor_angle" in c and "angle" not in c for c in channels)
         return ("compliance", "coupling_hysteresis") if one_encoder else ()
+
+
+class FrictionPlay(Effect):
+    """Play between the encoder and a part of friction and inertia: after a reversal this part rests
+    until the play is crossed.
+
+    The coefficients are the share of friction and the inertia behind the play.
+    """
+
+    equation = """(J - J_s) domega/dt + J_s d(e omega)/dt = i Km I - (1 - s + s e) M_f - M_L; e is 0
+        while the play of width g is crossed, else 1"""
+    implied = "friction acts as soon as the motion reverses, without clearance (eq. 9)"
+    coordinate = """travel since reversal: friction is missing over a fixed travel after each
+        reversal, and returns at once"""
+    parameters = (
+        Quantity("gap_rad", Dimension.ANGLE, 0.0, 1.0),
+        Quantity("friction_share", Dimension.NUMBER, 0.0, 1.05),
+        Quantity("inertia_kgm2", Dimension.INERTIA, -0.1, 1.0),
+    )
+    look_alikes = ("backlash", "presliding", "compliance", "coupling_hysteresis")
+    experiment = """Slow reversals with encoders on either side of the suspected play: the travel
+        over which friction is missing is the difference of their angles. With one encoder, two
+        amplitudes show a play by its fixed travel."""
+    separation = Separation.SMALL_LOOPS
+    sentence = """friction acts only after a play of {gap_rad:deg} at each reversal, with
+        {friction_share:%} of the friction and {inertia_kgm2:kg m^2} behind it"""
+    refine = {0: 0.0}
+    positive = (0,)
+    follows = True
+    enters = ("torque",)
+    nonlinear = ("gap_rad",)
+
+    @staticmethod
+    def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+        lead = play(view.angle, shape[0])
+        loose = np.where(lead * view.sense < 0.5 * (1.0 - TOUCHING) * shape[0], 1.0, 0.0)
+        # The part behind the play rests, and takes the speed of the rest as a flank meets it.
+        missing = central_difference(loose * view.velocity, view.step)
+        return rows(-loose * nominal.friction(view), -missing)
+
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        if context.nominal.presliding_stiffness or any(v.lag is not None for v in context.views):
+            return ()
+        travel = max(float(np.ptp(v.angle)) for v in context.views)
+        return [(float(share * travel),) for share in PLAY_SHARES]
+
+    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
+        return {
+            "gap_rad": shape[0],
+            "friction_share": float(c[0]),
+            "inertia_kgm2": float(c[1]),
+        }
+
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+        return (values["gap_rad"],), (values["friction_share"], values["inertia_kgm2"])
+
+    def feeds_back(
+        self, nominal: Nominal, shape: Shape, _coefficients: tuple[float, ...]
+    ) -> Nominal:
+        return replace(nominal, play=shape[0])
+
+    def indistinct(
+        self, _parameters: Mapping[str, float], _views: Sequence[View]
+    ) -> tuple[str, ...]:
+        # With one encoder, a gap between motor and joint has this form.
+        return ("backlash",)
 
 
 class PositionDependentFriction(Effect):

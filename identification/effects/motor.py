@@ -41,6 +41,8 @@ LEAST_GAIN = 0.5
 """Least ratio of the torque of a motor with ripple to its mean torque at the same current."""
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Trial knee currents of a torque that saturates, relative to the greatest current."""
+STRAY_SHARES = (0.01, 0.04, 0.15)
+"""Trial shares of the torque that a stray loss takes at the greatest power."""
 TANH_OR_RATIONAL = (0.0, 1.0)
 """Laws of saturation: a hyperbolic tangent (0), or a rational function (1)."""
 WITH_MAGNETS = (1.0, 0.0)
@@ -365,7 +367,7 @@ class TorqueSaturation(Effect):
         Quantity("knee_A", Dimension.CURRENT, 2.0, 500.0),
         Quantity("rational", Dimension.NUMBER, 0.0, 1.0),
     )
-    look_alikes = ("load_exponent", "transmission_efficiency", "winding_heating")
+    look_alikes = ("load_exponent", "stray_loss", "transmission_efficiency", "winding_heating")
     experiment = """High currents without load, by the greatest accelerations that the limits allow,
         and high currents under load: saturation depends on the current, load friction on the
         weight."""
@@ -406,6 +408,52 @@ class TorqueSaturation(Effect):
             for v in context.views
         )
         return [(k * greatest, rational) for rational in TANH_OR_RATIONAL for k in KNEES]
+
+
+class StrayLoss(Effect):
+    """Drag of the motor in proportion to its speed and the square of its current, as of eddy
+    currents in iron and conductors.
+    """
+
+    equation = "J domega/dt = i Km I - c I^2 omega - M_f - M_L"
+    implied = "the motor's torque is Km I at any speed (eq. 1)"
+    coordinate = """speed: a drag in proportion to the speed and the square of the current, zero at
+        rest and without load"""
+    parameters = (Quantity("coefficient_Nms_A2rad", Dimension.STRAY, 0.0, 0.5),)
+    look_alikes = ("torque_saturation", "transmission_efficiency", "quadratic_drag")
+    experiment = """The same two currents at two speeds, by two loads: a stray loss grows with the
+        speed, saturation is the same at any speed; drag of the joint is the same at any current."""
+    separation = Separation.LOADS_AND_SPEEDS
+    sentence = """the motor loses {coefficient_Nms_A2rad:N m s/(A^2 rad)} times the square of its
+        current times the joint's speed of its torque, as by eddy currents"""
+    refine = {0: 0.0}
+    limits = {0: (0.0, np.inf)}
+    size = 1.0
+    follows = True
+    nonlinear = ("coefficient_Nms_A2rad",)
+    on_drive = True
+
+    @staticmethod
+    def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+        """Return the torque, without loss, of the additional current that the loss requires: I of
+        k I - c omega I^2 = M, k the torque per ampere.
+        """
+        gain, torque = torque_per_ampere(view), nominal.drive(view)
+        share = 4.0 * shape[0] * view.velocity * torque / gain**2
+        needed = 2.0 / (1.0 + np.sqrt(1.0 - np.minimum(share, 0.99)))
+        return rows(torque * (needed - 1.0))
+
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        seen = [v for v in context.views if has_current(v)]
+        greatest = max(
+            (
+                float(np.max(np.abs(context.nominal.drive(v) * v.velocity)))
+                / torque_per_ampere(v) ** 2
+                for v in seen
+            ),
+            default=0.0,
+        )
+        return [(share / greatest,) for share in STRAY_SHARES] if greatest > 0.0 else []
 
 
 class CurrentLoopLag(Effect):
@@ -539,32 +587,43 @@ class WindingHeating(Effect):
 
 
 class SupplySag(Effect):
-    """Supply voltage that falls with the supply current."""
+    """Supply voltage that falls with the supply current.
+
+    The resistance follows from the supply voltage without load, which is one value of the campaign.
+    """
 
     equation = "R I + L dI/dt = U (1 - Rs I_bus / U_nominal) - Ke dphi/dt"
     implied = "the supply's voltage is constant"
     shows_in = "voltage"
     coordinate = """torque: grows with the power of the motor, the product of voltage and supply
         current"""
-    parameters = (Quantity("resistance_ohm", Dimension.RESISTANCE, 0.0, 3.0),)
+    parameters = (
+        Quantity("resistance_ohm", Dimension.RESISTANCE, 0.0, 3.0),
+        Quantity("supply_V", Dimension.VOLTAGE, 0.0, 1000.0),
+    )
     look_alikes = ("winding_heating", "inverter_dead_time", "brush_drop")
     experiment = """One high current at rest, where the supply delivers little power, and in fast
         motion, where it delivers much power. A log of the supply voltage shows the effect
         directly."""
-    sentence = """the supply voltage falls by {resistance_ohm:ohm} times the supply current, and the
-        voltage at the winding with it"""
+    sentence = """the supply voltage, {supply_V:V} without load, falls by {resistance_ohm:ohm} times
+        the supply current, and the voltage at the winding with it (a supply that was neither logged
+        nor declared counts as the greatest voltage; the true resistance is then greater)"""
     positive = (0,)
     enters = ("voltage",)
-    shown_by = staticmethod(has_voltage)
+    nonlinear = ("supply_V",)
 
     @staticmethod
-    def voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    def voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
         assert view.current is not None
         assert view.voltage is not None
         volts = np.where(np.isnan(view.voltage), 0.0, view.voltage)
-        supply = (
-            float(np.median(view.supply))
-            if view.supply is not None
-            else float(np.max(np.abs(volts)))
-        )
-        return rows(volts**2 * view.current / supply**2)
+        return rows(volts**2 * view.current / shape[0] ** 2)
+
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        seen = [v for v in context.views if has_voltage(v)]
+        logged = [float(np.median(v.supply)) for v in seen if v.supply is not None]
+        declared = [s for v in seen if (s := v.recording.bench.supply_voltage) is not None]
+        # A supply that is neither logged nor declared has at least the greatest voltage.
+        greatest = [float(np.nanmax(np.abs(v.voltage))) for v in seen if v.voltage is not None]
+        supply = max(logged or declared or greatest, default=0.0)
+        return [(supply,)] if supply > 0.0 else []

@@ -21,11 +21,11 @@ from identification.effects.effect import (
 )
 from identification.effects.motor import CurrentLoopLag, has_current
 from identification.effects.transmission import Backlash, both_encoders
-from identification.numerics.series import delayed_series
+from identification.numerics.series import delayed_series, sine_cosine
 from identification.recording import Array
 from identification.signals import central_difference
 from identification.views.nominal import Nominal
-from identification.views.view import View, torque_per_ampere
+from identification.views.view import View, lacks_common_origin, torque_per_ampere
 
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 SKEWS_S: tuple[Shape, ...] = tuple(
@@ -34,6 +34,8 @@ SKEWS_S: tuple[Shape, ...] = tuple(
 WITH_VOLTAGE = (1.0,)
 """Last nonlinear parameter of a time skew if the voltage is sampled together with the current.
 """
+RIPPLES_PER_TURN = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24, 32, 64)
+"""Trial cycles of an encoder's ripple per turn of its shaft: eccentricity, poles, interpolation."""
 SLIPS_PER_RECORDING = 12
 ZEROED_S = (0.0, 2.0)
 """Limits of the time from the zeroing of the current sensor to the start of a recording, s, during
@@ -172,7 +174,7 @@ class CurrentOffset(Effect):
     coordinate = """direction: one constant torque in motion and at rest, at any speed, angle and
         load"""
     parameters = (Quantity("current_A", Dimension.CURRENT, -5.0, 5.0),)
-    look_alikes = ("asymmetric_coulomb", "gravity_imbalance", "current_drift")
+    look_alikes = ("asymmetric_coulomb", "constant_torque", "gravity_imbalance", "current_drift")
     experiment = """The logged current with the power stage off, while holding at rest after
         approaches from either side, and during full turns: an offset is the same in all these
         cases."""
@@ -254,6 +256,55 @@ class EncoderEccentricity(Effect):
     @staticmethod
     def transmission(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(-np.sin(view.angle), -np.cos(view.angle))
+
+
+class EncoderRipple(Effect):
+    """Reading of the only encoder that swings within each turn of its shaft."""
+
+    equation = "phi_logged = phi + A sin(n phi + p), phi the angle of the encoder's shaft"
+    implied = "the encoder reads the angle of its shaft"
+    coordinate = """speed: periodic in the encoder's angle, with an amplitude proportional to the
+        square of the speed; zero in slow motion"""
+    parameters = (
+        Quantity("amplitude_rad", Dimension.PHASE, 0.0, 0.3),
+        Quantity("per_turn", Dimension.CYCLES, 1.0, 64.0),
+        Quantity("phase_rad", Dimension.PHASE, -pi, pi),
+        Quantity("at_motor", Dimension.NUMBER, 0.0, 1.0),
+    )
+    look_alikes = ("cogging", "torque_ripple", "gear_mesh_ripple")
+    experiment = """Steady turns at three speeds without load: the torque of cogging is the same at
+        any speed, an error of the reading needs none in slow motion and grows with the square of
+        the speed."""
+    separation = Separation.SPEEDS
+    sentence = """the reading of the encoder ({at_motor:}; 1: at the motor, 0: at the joint) swings
+        by {amplitude_rad:deg} of its shaft, {per_turn:} times per turn (phase {phase_rad:deg})"""
+    follows = True
+    fast = True
+    enters = ("torque",)
+    nonlinear = ("per_turn", "at_motor")
+    polar = ("amplitude_rad", "phase_rad")
+
+    @staticmethod
+    def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+        cycles, at_motor = shape
+        gear = view.recording.bench.gear_ratio if at_motor else 1.0
+        wave = sine_cosine(cycles, view.motor if at_motor else view.angle) / gear
+        damping = nominal.get("sigma_2") + nominal.get("mu_2") * view.moment
+        out = []
+        for error in wave:
+            speed = central_difference(error, view.step)
+            out.append(nominal.get("J") * central_difference(speed, view.step) + damping * speed)
+        return -rows(*out)
+
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        views = context.views
+        if context.nominal.get("J") <= 0.0 or lacks_common_origin(views):
+            return []
+        if any(v.lag is not None for v in views):
+            return []
+        at_motor = all("motor_angle" in v.recording.channels for v in views)
+        turns = max(float(np.ptp(v.motor if at_motor else v.angle)) for v in views) / (2.0 * pi)
+        return [(float(n), float(at_motor)) for n in RIPPLES_PER_TURN if n * turns >= 1.0]
 
 
 class EncoderSlip(Effect):

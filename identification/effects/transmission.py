@@ -24,7 +24,7 @@ from identification.effects.effect import (
     everywhere,
     rows,
 )
-from identification.numerics.series import falling_play, first_swing, play, sine_cosine
+from identification.numerics.series import dahl, falling_play, first_swing, play, sine_cosine
 from identification.recording import Array
 from identification.signals import central_difference, quantum
 from identification.views.nominal import Nominal
@@ -44,6 +44,10 @@ LEAST_JOINT_SHARE = 0.1
 LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
 """Start value of the rotor's share of the total inertia, which is unknown and fitted."""
+WIND_SHARES = tuple(float(s) for s in np.geomspace(3e-4, 0.1, 7))
+"""Trial travels over which a gear's friction builds up, relative to the travel."""
+LOSSES = ((0.1, 0.0), (0.1, 0.1), (0.3, 0.1))
+"""Trial shares of a gear's torque that its friction takes, against the motion and the torque."""
 FIRST_SAMPLES = 20
 """Number of samples at the start of a recording whose encoder readings determine the initial
 position in a gap or a hysteresis loop.
@@ -368,6 +372,50 @@ class TransmissionEfficiency(Effect):
         self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
     ) -> Nominal:
         return replace(nominal, efficiency=1.0 / (1.0 + max(coefficients[0], 0.0)))
+
+
+class GearFriction(Effect):
+    """Friction of a gear in proportion to the torque that it transmits; the friction builds up over
+    a small travel, as in strain-wave and cycloid gears.
+    """
+
+    equation = """M_joint = M - a |M| z - d M z^2, M = i Km I; dz/dtheta = (1 - z sgn(omega)) / h"""
+    implied = "the gear transmits torque without loss, and friction does not depend on it (eq. 9)"
+    coordinate = """travel since reversal: friction in proportion to the torque, which changes its
+        sign gradually over a small travel"""
+    parameters = (
+        Quantity("travel_rad", Dimension.ANGLE, 0.0, 0.5),
+        Quantity("against_motion", Dimension.NUMBER, 0.0, 0.6),
+        Quantity("against_torque", Dimension.NUMBER, 0.0, 0.6),
+    )
+    look_alikes = ("presliding", "transmission_efficiency", "coupling_hysteresis")
+    experiment = """Small and large reversals under two loads that pull both ways: this friction and
+        its slope after a reversal grow with the load; presliding of a bearing does not."""
+    separation = Separation.LOADS
+    sentence = """the gear's friction is {against_motion:%} of its torque against the motion and
+        {against_torque:%} against the torque, and builds up over {travel_rad:deg} of travel after
+        each reversal"""
+    refine = {0: 0.0, 1: 0.1, 2: 0.1}
+    limits = {1: (0.0, 0.6), 2: (0.0, 0.35)}
+    size = 1.0
+    follows = True
+    enters = ("torque",)
+    nonlinear = ("travel_rad", "against_motion", "against_torque")
+    on_drive = True
+
+    @staticmethod
+    def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+        travel, against_motion, against_torque = shape
+        z = dahl(view.angle, np.ones(len(view.angle)), 1.0 / travel)
+        torque = nominal.drive(view)
+        lost = against_motion * np.sign(torque) * z + against_torque * z**2
+        return rows(torque * lost / (1.0 - lost))
+
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        # If friction is the only load, the two losses have one regressor, that of presliding.
+        travel = max(float(np.ptp(v.angle)) for v in context.views)
+        trials = [(share * travel, a, d) for share in WIND_SHARES for a, d in LOSSES]
+        return everywhere(context, context.nominal.helped, trials)
 
 
 class CouplingHysteresis(Clearance, Effect):

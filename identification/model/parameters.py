@@ -27,12 +27,14 @@ _LINEAR_UNITS: Mapping[str, str] = {
     "kg m^2": "kg",
     "A/rad": "A/m",
     "A s/rad": "A s/m",
+    "N m s/(A^2 rad)": "N s/(A^2 m)",
     "A s^2/rad": "A s^2/m",
     "A s^2/rad^2": "A s^2/m^2",
 }
 _LINEAR_ENDINGS = (
     ("_Nms2_rad2", "_Ns2_m2"),
     ("_Nms_rad", "_Ns_m"),
+    ("_Nms_A2rad", "_Ns_A2m"),
     ("_Nm_rad", "_N_m"),
     ("_Nm_s", "_N_s"),
     ("_Nm", "_N"),

@@ -156,6 +156,7 @@ class Nominal(NominalTorque):
             effect, s; 0 without such an effect.
         presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
             0 without such an effect.
+        play: Width of a play before friction, from an identified effect, rad; 0 without one.
         most: Name of each static level to its greatest value by the recordings; empty for no
             limits.
     """
@@ -170,11 +171,14 @@ class Nominal(NominalTorque):
     fitted_alpha: float | None = None
     late_s: float = 0.0
     presliding_stiffness: float = 0.0
+    play: float = 0.0
     most: Mapping[str, float] = field(default_factory=dict)
 
     def without_effects(self) -> Nominal:
         """Return the values without those of identified effects that other effects depend on."""
-        return replace(self, undeclared=(0.0, 0.0, 0.0, 0.0), zero_A=0.0, ripple=(), efficiency=1.0)
+        return replace(
+            self, undeclared=(0.0, 0.0, 0.0, 0.0), zero_A=0.0, ripple=(), efficiency=1.0, play=0.0
+        )
 
     def limited(self, views: Sequence[View]) -> Nominal:
         """Return the values with static levels limited to the greatest torque at a breakaway.

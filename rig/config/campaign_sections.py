@@ -343,6 +343,7 @@ class BenchSection(Schema):
             measured.
         resistance: Winding resistance, ohm; needed if only the voltage was measured.
         inductance: Winding inductance, H.
+        supply_voltage: Voltage of the supply without load, V, if no `supply_voltage` was recorded.
         gear_ratio: Motor turns per turn of the joint; on a linear bench motor angle per travel,
             rad/m.
         moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
@@ -357,6 +358,7 @@ class BenchSection(Schema):
     back_emf_constant: Known | None = None
     resistance: Known | None = None
     inductance: Known | None = None
+    supply_voltage: Known | None = None
     gear_ratio: Known = 1.0
     moment_arm: Known | None = None
     lever_ratio: Known | None = None

@@ -24,6 +24,8 @@ OFF: Effects = {
     "current_loop_lag": {"time_s": 0.0},
     "winding_heating": {"rise_K_per_W": 0.0, "time_s": 60.0},
     "supply_sag": {"resistance_ohm": 0.0},
+    "stray_loss": {"coefficient_Nms_A2rad": 0.0},
+    "constant_torque": {"torque_Nm": 0.0},
     "transmission_efficiency": {"efficiency": 1.0},
     "asymmetric_coulomb": {"torque_Nm": 0.0},
     "stribeck_shape": {"alpha": 2.0},
@@ -51,6 +53,15 @@ def felt(weight_kg: float, exponent: float) -> float:
     return 0.095 * more * (0.052 + 0.032 * 0.5)
 
 
+def stray(weight_kg: float) -> float:
+    """Return the loss at 0.8 rad/s and 0.05 N m s/(A^2 rad): M - M_0 of M = M_0 + c I^2 omega."""
+    plain = nominal(0.8, weight_kg)
+    torque = plain
+    for _ in range(60):
+        torque = plain + 0.05 * (torque / PER_AMPERE) ** 2 * 0.8
+    return torque - plain
+
+
 def sided(name: str, key: str, size: float, at: float, to_side: Callable[[float], float]) -> list:
     """Return the rows of an effect to either side, at a speed of 0.8 rad/s."""
     return [({name: {key: size}}, side * 0.8, 0.0, at * to_side(side)) for side in (1.0, -1.0)]
@@ -62,6 +73,9 @@ RESONANCE: Effects = {
 }
 QUADRANT: Effects = {"x_quadrant_friction": {"torque_Nm": 1.5}}
 PIVOT: Effects = {"lever_pivot_friction": {"torque_Nm": 1.2}}
+WOUND: Effects = {
+    "gear_friction": {"travel_rad": 0.01, "against_motion": 0.2, "against_torque": 0.05}
+}
 LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
 
 
@@ -79,6 +93,16 @@ LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
         ({"load_inertia": {"inertia_kgm2": 0.5}}, 0.5, 20.0, 0.0),
         *((PIVOT, 0.5, weight, 1.2 * (weight > 0.0)) for weight in (0.0, 5.0, 30.6)),
         ({"current_offset": {"current_A": 0.4}}, 0.5, 0.0, 0.4 * PER_AMPERE),
+        *(
+            (WOUND, side * 0.5, 20.0, side * (0.25 / 0.75) * nominal(0.5, 20.0))
+            for side in (1.0, -1.0)
+        ),
+        *(({"constant_torque": {"torque_Nm": 9.0}}, side * 0.5, 0.0, -9.0) for side in (1.0, -1.0)),
+        *(
+            ({"stray_loss": {"coefficient_Nms_A2rad": 0.05}}, side * 0.8, weight, side * loss)
+            for side in (1.0, -1.0)
+            for weight, loss in ((0.0, stray(0.0)), (30.6, stray(30.6)))
+        ),
         (ROOT, 0.5, 0.0, 2.0 * (math.sqrt(0.5001) - 0.01)),
         (RESONANCE, 0.5, 0.0, 2.0),
         # Friction grows on the way out, to either side.
@@ -364,3 +388,10 @@ def test_a_rotor_heavier_than_the_whole_is_refused() -> None:
     heavy = replace(Machine(), motor=replace(Machine().motor, rotor_inertia_kg_m2=3e-5))
     with pytest.raises(ValueError, match="needs inertia on both sides"):
         effect_vector(replace(heavy, effects={"backlash": {"gap_rad": 0.01}}))
+
+
+def test_the_motor_encoder_swings_within_a_turn() -> None:
+    ripple = {"amplitude_rad": 0.02, "per_turn": 2.0, "phase_rad": 0.3}
+    free = Track({"encoder_ripple": ripple}, cruise(0.2))
+    error = free.motor - free.angle
+    assert error == pytest.approx(2e-4 * np.sin(2.0 * 100.0 * free.angle + 0.3), abs=3e-6)

@@ -88,6 +88,8 @@ bench. It is written separately from the diagnosis, so that finding an effect pr
 
 def test_nothing_but_the_effects_and_the_simulated_machine_names_an_effect() -> None:
     root = Path(__file__).parents[2]
+    # A load that a recording may declare may have the name of its key.
+    names = {e.name for e in EFFECTS.values() if e.name != e.declared_by}
     found = []
     for file in (
         f for top in ("identification", "rig", "drivers") for f in (root / top).rglob("*.py")
@@ -97,5 +99,5 @@ def test_nothing_but_the_effects_and_the_simulated_machine_names_an_effect() -> 
             texts = (
                 n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Constant)
             )
-            found += [f"{place}:{n.lineno} {n.value}" for n in texts if n.value in EFFECTS]
+            found += [f"{place}:{n.lineno} {n.value}" for n in texts if n.value in names]
     assert found == []

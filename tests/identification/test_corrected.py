@@ -62,6 +62,36 @@ def mean_step(v: View, knee: float) -> Array:
     return np.mean(np.tanh((before + (after - before) * share[:, None]) / knee), axis=0)
 
 
+def lossless(v: View, loss: float) -> Array:
+    """Return the current I of 3 I - loss I^2 omega = M, by iteration."""
+    current = asked(v) / 3.0
+    for _ in range(60):
+        current = (asked(v) + loss * current**2 * v.velocity) / 3.0
+    return current
+
+
+def built_up(v: View, travel: float, motion: float, torque: float) -> Array:
+    """Return the drive's torque M of M - a |M| z - d M z^2 = what is asked, by iteration."""
+    z = np.zeros(len(v.angle))
+    for k in range(1, len(z)):
+        step = v.angle[k] - v.angle[k - 1]
+        z[k] = np.sign(step) + (z[k - 1] - np.sign(step)) * np.exp(-abs(step) / travel)
+    drive = asked(v)
+    for _ in range(60):
+        drive = asked(v) + motion * np.abs(drive) * z + torque * drive * z**2
+    return drive
+
+
+def misread(v: View) -> Array:
+    """Return the nominal torque of an error of the reading of 0.2 mrad at the joint."""
+    speed = np.gradient(2e-4 * np.sin(2.0 * v.motor + 0.3), v.time)
+    return 0.2 * np.gradient(speed, v.time) + (5.3 + 0.032 * v.moment) * speed
+
+
+def loose(v: View, gap: float) -> Array:
+    return np.where(play(v.angle, gap) * v.sense < 0.499999 * gap, 1.0, 0.0)
+
+
 def one(v: View) -> Array:
     return np.ones(len(v.time))
 
@@ -80,9 +110,17 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         {"knee_A": 30.0, "rational": 0.0},
         lambda v: asked(v) - 90.0 * np.arctanh(asked(v) / 90.0),
     ),
+    ("stray_loss", "drive"): (
+        {"coefficient_Nms_A2rad": 0.01},
+        lambda v: asked(v) - 3.0 * lossless(v, 0.01),
+    ),
     ("transmission_efficiency", "drive"): (
         {"efficiency": 0.8},
         lambda v: asked(v) * np.where(asked(v) * v.velocity >= 0.0, -0.25, 0.2),
+    ),
+    ("gear_friction", "drive"): (
+        {"travel_rad": 0.02, "against_motion": 0.2, "against_torque": 0.1},
+        lambda v: asked(v) - built_up(v, 0.02, 0.2, 0.1),
     ),
     ("current_offset", "drive"): ({"current_A": 0.3}, lambda v: -0.9 * one(v)),
     ("current_drift", "drive"): (
@@ -112,6 +150,17 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
             )
         ),
     ),
+    ("encoder_ripple", "torque"): (
+        {"amplitude_rad": 0.02, "per_turn": 2.0, "phase_rad": 0.3, "at_motor": 1.0},
+        lambda v: -misread(v),
+    ),
+    ("friction_play", "torque"): (
+        {"gap_rad": 0.1, "friction_share": 0.8, "inertia_kgm2": 0.15},
+        lambda v: (
+            -0.8 * loose(v, 0.1) * (system(v) + load(v))
+            - 0.15 * np.gradient(loose(v, 0.1) * v.velocity, v.time)
+        ),
+    ),
     ("position_dependent_friction", "torque"): (
         {"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05},
         lambda v: v.sense * np.exp(-0.5 * ((v.angle - 0.1) / 0.05) ** 2),
@@ -132,6 +181,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         {"stiffness_Nm_rad": 3.0, "rest_rad": 0.2},
         lambda v: 3.0 * (v.angle - 0.2),
     ),
+    ("constant_torque", "torque"): ({"torque_Nm": 0.4}, lambda v: -0.4 * one(v)),
     ("end_stop", "torque"): (
         {"angle_rad": 0.2, "stiffness_Nm_rad": 40.0, "other_rad": -0.25},
         lambda v: 40.0 * (np.maximum(v.angle - 0.2, 0.0) + np.minimum(v.angle + 0.25, 0.0)),
@@ -180,7 +230,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         lambda v: 0.8 * mean_step(v, 1.5),
     ),
     ("supply_sag", "voltage"): (
-        {"resistance_ohm": 0.2},
+        {"resistance_ohm": 0.2, "supply_V": 60.0},
         lambda v: 0.2 * v.current * (v.voltage / 60.0) ** 2,
     ),
 }

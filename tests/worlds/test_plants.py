@@ -310,6 +310,7 @@ CASES = (
     Case("brush_drop", {"voltage_V": 1.5, "current_A": 0.5}, 0.03),
     Case("winding_heating", {"rise_K_per_W": 20.0, "time_s": 5.0, "magnet": 0.0}, 0.02),
     Case("supply_sag", {"resistance_ohm": 2.0}),
+    Case("stray_loss", {"coefficient_Nms_A2rad": 0.05}),
     # The own plant's shaft has another damping, 0.08 in place of 0.03.
     Case("compliance", {"stiffness_Nm_rad": 3000.0}, 0.02),
     Case("transmission_efficiency", {"efficiency": 0.8}),
@@ -327,6 +328,7 @@ CASES = (
     Case("coulomb_drift", {"rate_Nm_s": 0.3, "time_s": 3.0}),
     Case("gravity_imbalance", {"torque_Nm": 3.0, "zero_rad": 0.5}),
     Case("return_spring", {"stiffness_Nm_rad": 10.0, "rest_rad": 0.1}),
+    Case("constant_torque", {"torque_Nm": 3.0}),
     # The own plant's stop is damped, 2 ms times its stiffness.
     Case("end_stop", {"angle_rad": 0.2, "stiffness_Nm_rad": 100.0}, 0.02),
     Case("end_stop", {"angle_rad": -0.2, "stiffness_Nm_rad": 100.0}, 0.02),
@@ -345,7 +347,8 @@ CASES = (
 )
 APART = frozenset(
     {
-        "torque_ripple", "inverter_dead_time", "backlash", "gear_mesh_ripple",
+        "torque_ripple", "inverter_dead_time", "backlash", "encoder_ripple", "gear_friction",
+        "gear_mesh_ripple",
         "coupling_hysteresis",
     }
 )  # fmt: skip

@@ -11,7 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.effects.kernel import CONSTANTS_AT, Histories, dead_time_voltage, mesh_error
+from drivers.mock.plant.effects.kernel import (
+    CONSTANTS_AT,
+    Histories,
+    dead_time_voltage,
+    mesh_error,
+    read_rotor,
+)
 from drivers.mock.plant.effects.table import (
     HEAT,
     JOINT,
@@ -177,7 +183,7 @@ def _sample(v: _Vectors, noise: Vector, sent: Histories, law: Vector, out: Histo
             s[loops.OFFSET] = torque / d[loops.TORQUE_PER_AMPERE]
         s[loops.FLICKER] = sent[ENCODER_ERROR, k]
         out[CURRENT, k] = s[loops.CURRENT]
-        out[ROTOR_ANGLE, k] = s[loops.THETA]
+        out[ROTOR_ANGLE, k] = read_rotor(s[loops.THETA], e)
         out[JOINT_ANGLE, k] = x[JOINT]
         path = sent[SENT_ANGLE, k : k + 1]
         advance_loaded(1, s, x, v.histories, d, v.p, e, v.y, v.g, noise[k : k + 1], path)

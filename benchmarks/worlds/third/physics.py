@@ -20,6 +20,7 @@ from identification.numerics.compiled import compiled
     J_M, J_L, COULOMB, STATIC, W_S, VISCOUS, EXPONENT, SHARE,
     LEVER, MU_C, MU_S, W_L, MU_V, FORCE, HUNG, HANGS, K_T, K_E, GEAR, R, L,
     COG, COG_N, COG_P, RIP, RIP_N, RIP_P, KNEE, RATIONAL, TORQUE_LAG, ETA,
+    EDDIES, PULL,
     DEAD, BRUSH, BRUSH_A, SAG, SUPPLY, HEAT, HEAT_S,
     GAP, STIFF, LOSSY, LOSSY_RAD, DAMP,
     SIDE, SIDE_V, DRAG, LAGS, AGES, AGES_S, DAHL, PATCH, PATCH_C, PATCH_W,
@@ -27,7 +28,7 @@ from identification.numerics.compiled import compiled
     LOPSIDED, LOPSIDED_P, SPRING, SPRING_0, STOP_K, STOP_HIGH, STOP_LOW,
     SLOPE, SWING, SWING_F, SWING_D, PIVOT, PER_LOAD,
     TIMED, TIMED_F, TIMED_P, FLIP, FLIP_S, BURST, BURST_T, BURST_L, ACC, BEGAN, STEADY, SIZE,
-) = range(82)  # fmt: skip
+) = range(84)  # fmt: skip
 # State of one recording.
 (
     CURRENT, PHI, W_M, THETA, W, WORKING, SLOW, REST, Z, TEMPERATURE, SLIDES_M, SLIDES, E_1, E_2,
@@ -40,6 +41,7 @@ COPPER = 0.00393
 def motor_torque(p, y):
     """Return what the motor gives at the joint, without the gear's loss."""
     i = y[WORKING] if p[TORQUE_LAG] > 0.0 else y[CURRENT]
+    lost = p[EDDIES] * i * i * y[W_M]
     if p[KNEE] > 0.0:
         if p[RATIONAL] > 0.5:
             i = i / (1.0 + (i / p[KNEE]) ** 2)
@@ -47,7 +49,7 @@ def motor_torque(p, y):
             i = p[KNEE] * math.tanh(i / p[KNEE])
     shaft = y[PHI] * p[GEAR]
     torque = p[GEAR] * p[K_T] * i * (1.0 + p[RIP] * math.sin(p[RIP_N] * shaft + p[RIP_P]))
-    return torque + p[COG] * math.sin(p[COG_N] * shaft + p[COG_P])
+    return torque + p[COG] * math.sin(p[COG_N] * shaft + p[COG_P]) - lost
 
 
 @compiled
@@ -55,7 +57,10 @@ def other_torques(p, y, since):
     """Return what acts on the joint beside motor and friction."""
     q = y[THETA]
     torque = (
-        p[STEADY] - p[HUNG] * math.sin(q - p[HANGS]) - p[LOPSIDED] * math.sin(q - p[LOPSIDED_P])
+        p[STEADY]
+        + p[PULL]
+        - p[HUNG] * math.sin(q - p[HANGS])
+        - p[LOPSIDED] * math.sin(q - p[LOPSIDED_P])
     )
     torque -= p[SPRING] * (q - p[SPRING_0])
     if p[STOP_K] > 0.0:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError
 from drivers.mock.plant import gas
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.kernel import Histories
+from drivers.mock.plant.effects.kernel import Histories, read_rotor
 from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
@@ -151,7 +151,7 @@ def record_cycles(
         n = s[loops.SUM_LOOPS]
         seconds = n * d[loops.LOOP_S]
         row = out[k]
-        row[ROTOR] = s[loops.THETA]
+        row[ROTOR] = read_rotor(s[loops.THETA], e)
         row[JOINT_SEEN] = x[table.SEEN]
         row[SPEED] = s[loops.VELOCITY_ESTIMATE]
         row[MEAN_CURRENT] = s[loops.SUM_CURRENT] / seconds + s[loops.SUM_NOISE] / n
@@ -495,7 +495,7 @@ class SimulatedMachine:
                 NaN.
         """
         s = self._s
-        theta = float(s[loops.THETA])
+        theta = float(read_rotor(float(s[loops.THETA]), self._e))
         seen = float(self._x[table.SEEN])
         n = float(s[loops.SUM_LOOPS])
         if n:

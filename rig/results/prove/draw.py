@@ -56,6 +56,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "brush_drop": {"voltage_V": log(0.1, 2.0), "current_A": log(0.3, 2.0)},
     "winding_heating": {"rise_K_per_W": log(0.03, 0.5), "time_s": log(60.0, 600.0)},
     "supply_sag": {"resistance_ohm": log(0.03, 0.8)},
+    "stray_loss": {"coefficient_Nms_A2rad": log(3e-3, 5e-2)},
     "backlash": {"gap_rad": log(1e-4, 1.5e-2)},
     "compliance": {"stiffness_Nm_rad": log(1.5e3, 1.5e5)},
     "gear_mesh_ripple": {
@@ -64,6 +65,11 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "phase_rad": _PHASE,
     },
     "transmission_efficiency": {"efficiency": lambda rng: 1.0 - log(0.02, 0.3)(rng)},
+    "gear_friction": {
+        "travel_rad": log(2e-3, 3e-2),
+        "against_motion": log(0.05, 0.3),
+        "against_torque": log(0.01, 0.1),
+    },
     "coupling_hysteresis": {"torque_Nm": log(1.0, 8.0), "deflection_rad": log(1e-4, 5e-3)},
     "asymmetric_coulomb": {"torque_Nm": either(0.05, 2.5)},
     "asymmetric_viscous": {"coefficient_Nms_rad": either(0.1, 2.5)},
@@ -83,6 +89,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "coulomb_drift": {"rate_Nm_s": either(1e-4, 3e-3)},
     "gravity_imbalance": {"torque_Nm": log(0.1, 8.0), "zero_rad": _PHASE},
     "return_spring": {"stiffness_Nm_rad": log(0.3, 20.0), "rest_rad": even(-0.3, 0.3)},
+    "constant_torque": {"torque_Nm": either(0.05, 15.0)},
     "end_stop": {
         "angle_rad": lambda rng: float(rng.choice((-1.0, 1.0)) * rng.uniform(0.3, 0.46)),
         "stiffness_Nm_rad": log(5.0, 250.0),
@@ -155,7 +162,7 @@ SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "ou
 proportions.
 """
 
-_NEEDS_GRAVITY = frozenset({"load_dependent_friction"})
+_NEEDS_GRAVITY = frozenset({"load_dependent_friction", "gear_friction"})
 _NEEDS_LEVER = frozenset(
     {
         "load_exponent",

@@ -49,7 +49,7 @@ def test_the_gas_generator_has_effects_of_its_own() -> None:
 def test_fitted_values_are_the_parameters_and_back(term: Effect) -> None:
     context, stack = bench()
     shapes = term.shapes(context)
-    if term.name == "load_dependent_friction":
+    if term.name in ("load_dependent_friction", "friction_play", "gear_friction", "encoder_ripple"):
         assert not shapes
         return
     columns = stack.columns(term, shapes[0])

@@ -157,8 +157,17 @@ def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> Non
     assert reason(effect, lambda v: scaled(v, travel=0.1)) == ""
 
 
+@pytest.mark.parametrize(("share", "possible"), [(-0.95, True), (1.05, False), (-1.05, False)])
+def test_no_friction_drives_the_motion_in_one_direction(share: float, possible: bool) -> None:
+    size = share * nominal_fit(honest()).nominal.get("Mc")
+    found = reason(Added(TERM["asymmetric_coulomb"], (), (size,)), lambda v: v)
+    assert (found == "friction that drives the motion in one direction") is not possible
+    assert reason(Added(TERM["constant_torque"], (), (size,)), lambda v: v) == ""
+
+
 @pytest.mark.parametrize(
-    ("name", "power"), [("asymmetric_viscous", 1), ("quadratic_drag", 2), ("asymmetric_coulomb", 0)]
+    ("name", "power"),
+    [("asymmetric_viscous", 1), ("quadratic_drag", 2), ("lever_pivot_friction", 0)],
 )
 @pytest.mark.parametrize(("share", "plausible"), [(0.4, True), (0.6, False)])
 def test_friction_of_half_the_greatest_torque_is_plausible(

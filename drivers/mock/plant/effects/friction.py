@@ -157,13 +157,13 @@ _STOP_DAMPING_S = 2e-3
 
 @inlined
 def device_torque(theta: float, omega: float, e: Vector) -> float:
-    """Return the torque of imbalance, spring and end stop on the joint, N m.
+    """Return the torque of load, imbalance, spring and end stop on the joint, N m.
 
     A stop pushes only away from itself. One stop acts beyond ``angle_rad``, in the direction of the
     sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first stop acts above
     ``angle_rad`` and the second stop below ``other_rad``.
     """
-    torque = 0.0
+    torque = float(e[table.CONSTANT_TORQUE])
     if e[table.GRAVITY_TORQUE] != 0.0:
         torque -= e[table.GRAVITY_TORQUE] * math.sin(theta - e[table.GRAVITY_ZERO])
     if e[table.SPRING_STIFFNESS] != 0.0:

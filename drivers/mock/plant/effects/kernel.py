@@ -191,6 +191,16 @@ def cogging(shaft: float, e: Vector) -> float:
     )
 
 
+@inlined
+def read_rotor(rotor: float, e: Vector) -> float:
+    """Return the rotor's angle over the gear ratio, as the encoder of the motor reads it, rad."""
+    if e[table.READING_RIPPLE] == 0.0:
+        return rotor
+    gear = e[CONSTANTS_AT + table.GEAR]
+    wave = math.sin(e[table.READING_ORDER] * rotor * gear + e[table.READING_PHASE])
+    return float(rotor + e[table.READING_RIPPLE] * wave / gear)
+
+
 Histories = NDArray[np.float64]
 """Joint angles and mean currents of the last loop periods, shape (2, table.HISTORY)."""
 
@@ -284,7 +294,7 @@ def integrate(
     omega, theta, current = s[loops.OMEGA], x[table.JOINT], s[loops.CURRENT]
     rotor, turning = s[loops.THETA], x[table.ROTOR_SPEED]
     effective, bristles = x[table.TORQUE_CURRENT], x[table.BRISTLES]
-    transmitted, play = x[table.TRANSMITTED], x[table.PLAY]
+    transmitted, play, wound = x[table.TRANSMITTED], x[table.PLAY], x[table.WOUND]
     external = friction_work = charge = 0.0
     warm = 1.0 + MAGNET_PER_K * x[table.HEAT] * e[table.HEATING_MAGNET]
     dead = dead_time_voltage(x[table.SUPPLY], e[at + table.NOMINAL_SUPPLY], e)
@@ -306,6 +316,10 @@ def integrate(
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
+        torque -= e[table.STRAY_DRAG] * acting * acting * turning
+        torque -= wound * (
+            e[table.WIND_MOTION] * abs(torque) + e[table.WIND_TORQUE] * torque * wound
+        )
         external = steady + device_torque(theta, omega, e)
         charge += current
         if two:
@@ -356,9 +370,9 @@ def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
     x[table.SUPPLY] = nominal
     if e[table.SAG_RESISTANCE] == 0.0:
         return voltage
-    x[table.SUPPLY] = max(
-        nominal - e[table.SAG_RESISTANCE] * voltage / nominal * s[loops.CURRENT], 0.0
-    )
+    refers = e[table.SAG_SUPPLY] if e[table.SAG_SUPPLY] > 0.0 else nominal
+    fall = e[table.SAG_RESISTANCE] * voltage / refers * s[loops.CURRENT] / refers
+    x[table.SUPPLY] = max(nominal * (1.0 - fall), 0.0)
     return float(voltage * x[table.SUPPLY] / nominal)
 
 
@@ -415,6 +429,9 @@ def advance(
         renew(w, p, e, x, before)
         charge = integrate(s, x, d, w, e, power_stage(s, x, e, voltage), powered, decay, resistance)
         remember(w, p, e, x, before, s[loops.OMEGA], period)
+        if e[table.WIND_TRAVEL] > 0.0:
+            moved = s[loops.OMEGA] * period / e[table.WIND_TRAVEL]
+            x[table.WOUND] = (x[table.WOUND] + moved) / (1.0 + abs(moved))
         if e[TRAVEL_TORQUE] != 0.0:
             moved = s[loops.OMEGA] * period / e[TRAVEL_LENGTH]
             x[table.TRAVEL] = (x[table.TRAVEL] + moved) / (1.0 + abs(moved))

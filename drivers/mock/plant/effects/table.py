@@ -27,6 +27,8 @@ from typing import NamedTuple
     HEATING_TIME,
     HEATING_MAGNET,
     SAG_RESISTANCE,
+    SAG_SUPPLY,
+    STRAY_DRAG,
     GAP,
     STIFFNESS,
     MESH_AMPLITUDE,
@@ -34,6 +36,9 @@ from typing import NamedTuple
     MESH_PHASE,
     MESH_WITH_TORQUE,
     EFFICIENCY,
+    WIND_TRAVEL,
+    WIND_MOTION,
+    WIND_TORQUE,
     HYSTERESIS_TORQUE,
     HYSTERESIS_DEFLECTION,
     ASYMMETRIC_COULOMB,
@@ -56,6 +61,7 @@ from typing import NamedTuple
     GRAVITY_ZERO,
     SPRING_STIFFNESS,
     SPRING_REST,
+    CONSTANT_TORQUE,
     STOP_ANGLE,
     STOP_STIFFNESS,
     STOP_OTHER,
@@ -73,13 +79,17 @@ from typing import NamedTuple
     DELAY_TIME,
     CURRENT_OFFSET,
     CURRENT_DRIFT,
+    READING_RIPPLE,
+    READING_ORDER,
+    READING_PHASE,
+    READING_AT_MOTOR,
     ECCENTRICITY,
     ECCENTRICITY_PHASE,
     SLIP_ANGLE,
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(68)
+) = range(78)
 
 
 class Parameter(NamedTuple):
@@ -122,7 +132,11 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "time_s": Parameter(HEATING_TIME, 1.0, 1e5),
         "magnet": Parameter(HEATING_MAGNET, 0.0, 1.0, 1.0),
     },
-    "supply_sag": {"resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0)},
+    "supply_sag": {
+        "resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0),
+        "supply_V": Parameter(SAG_SUPPLY, 0.0, 1e4, 0.0),
+    },
+    "stray_loss": {"coefficient_Nms_A2rad": Parameter(STRAY_DRAG, 0.0, 1.0)},
     "backlash": {"gap_rad": Parameter(GAP, 0.0, 0.1)},
     "compliance": {"stiffness_Nm_rad": Parameter(STIFFNESS, 300.0, 1e6)},
     "gear_mesh_ripple": {
@@ -132,6 +146,11 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "with_torque": Parameter(MESH_WITH_TORQUE, 0.0, 1.0, 1.0),
     },
     "transmission_efficiency": {"efficiency": Parameter(EFFICIENCY, 0.3, 1.0)},
+    "gear_friction": {
+        "travel_rad": Parameter(WIND_TRAVEL, 1e-6, 1.0),
+        "against_motion": Parameter(WIND_MOTION, 0.0, 0.6),
+        "against_torque": Parameter(WIND_TORQUE, 0.0, 0.35),
+    },
     "coupling_hysteresis": {
         "torque_Nm": Parameter(HYSTERESIS_TORQUE, 0.1, 100.0),
         "deflection_rad": Parameter(HYSTERESIS_DEFLECTION, 0.0, 0.05),
@@ -170,6 +189,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "stiffness_Nm_rad": Parameter(SPRING_STIFFNESS, 0.0, 200.0),
         "rest_rad": Parameter(SPRING_REST, -3.2, 3.2),
     },
+    "constant_torque": {"torque_Nm": Parameter(CONSTANT_TORQUE, -300.0, 300.0)},
     "end_stop": {
         "angle_rad": Parameter(STOP_ANGLE, -3.2, 3.2),
         "stiffness_Nm_rad": Parameter(STOP_STIFFNESS, 0.0, 1e5),
@@ -193,6 +213,12 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "transport_delay": {"time_s": Parameter(DELAY_TIME, 0.0, _LONGEST_DELAY_S)},
     "current_offset": {"current_A": Parameter(CURRENT_OFFSET, -5.0, 5.0)},
     "current_drift": {"rate_A_s": Parameter(CURRENT_DRIFT, -0.5, 0.5)},
+    "encoder_ripple": {
+        "amplitude_rad": Parameter(READING_RIPPLE, 0.0, 0.5),
+        "per_turn": Parameter(READING_ORDER, 0.01, 100.0),
+        "phase_rad": Parameter(READING_PHASE, *_PHASE),
+        "at_motor": Parameter(READING_AT_MOTOR, 1.0, 1.0, 1.0),
+    },
     "encoder_eccentricity": {
         "amplitude_rad": Parameter(ECCENTRICITY, 0.0, 0.1),
         "phase_rad": Parameter(ECCENTRICITY_PHASE, *_PHASE),
@@ -206,7 +232,8 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
 """Slot and range of each parameter of each effect.
 
 ``recording`` counts the times that the power is switched on, from 1; ``at_s`` is the time since
-then.
+then. The resistance of ``supply_sag`` refers to ``supply_V``, or, if this is 0, to the machine's
+supply voltage.
 """
 
 
@@ -222,6 +249,7 @@ then.
     BRISTLES,  # rad
     FALLING,  # N m, delayed part of friction that falls with speed; or the delayed speed, rad/s
     GROWN,  # N m, increase of the static limit by time at rest
+    WOUND,  # state of the gear's friction, -1 to 1
     TRAVEL,  # state of the friction with long presliding travel, -1 to 1
     ACCELERATION,  # rad/s^2, smoothed
     TRANSMITTED,  # N m, torque at the gear's output
@@ -231,7 +259,7 @@ then.
     SEEN,  # joint angle as its encoder measures it, rad
     LOOP,  # drive-loop periods since the machine was built
     EXTRA_SIZE,
-) = range(20)
+) = range(21)
 
 # Indices after the effects in the effect vector: constants that the formulas of the effects need.
 (
