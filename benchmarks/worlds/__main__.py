@@ -12,6 +12,7 @@ from rig.results.prove.engine import Processes
 from rig.results.prove.truth import random_salt, repeated_salt
 
 OWN, THIRD, MUJOCO = "own", "third", "mujoco"
+ELECTRIC_MOTOR, MOTULATOR = "electric-motor", "motulator"
 
 
 def plant_named(name: str) -> Plant:
@@ -28,6 +29,14 @@ def plant_named(name: str) -> Plant:
         from benchmarks.worlds.third.plant import OdePlant
 
         return OdePlant()
+    if name == ELECTRIC_MOTOR:
+        from benchmarks.worlds.others.electric_motor import ElectricMotorPlant
+
+        return ElectricMotorPlant()
+    if name == MOTULATOR:
+        from benchmarks.worlds.others.motulator import MotulatorPlant
+
+        return MotulatorPlant()
     from benchmarks.worlds.mujoco_plant.plant import MujocoPlant, require_mujoco
 
     require_mujoco()
@@ -38,11 +47,13 @@ def plant_named(name: str) -> Plant:
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "--plant",
-    type=click.Choice([OWN, THIRD, MUJOCO]),
+    type=click.Choice([OWN, THIRD, MUJOCO, ELECTRIC_MOTOR, MOTULATOR]),
     default=OWN,
     show_default=True,
     help="own: the machine of the simulated bench; third: differential equations written from the "
-    "paper alone; mujoco: a machine in MuJoCo (needs the extra `mujoco`).",
+    "paper alone; mujoco: a machine in MuJoCo (needs the extra `mujoco`); electric-motor: a DC "
+    "machine of gym-electric-motor; motulator: a synchronous machine and two masses of motulator "
+    "(both need the extra `plants`).",
 )
 @click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)

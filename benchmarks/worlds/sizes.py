@@ -231,6 +231,10 @@ SIZES: Mapping[str, Draw] = {
         "torque_Nm": log(0.1, 0.5)(r) * s.Mc,
         "period_s": log(0.5, 6.0)(r),
     },
+    "x_field_sag": lambda r, s: {
+        "resistance_ohm": log(0.04, 0.5)(r) * s.supply / s.current,
+        "time_s": log(0.02, 0.5)(r),
+    },
     "x_acceleration_drag": lambda r, s: {"coefficient_Nms2_rad": either(0.08, 0.4)(r) * s.J},
 }
 """Functions that draw the parameters of effects, by effect; effects whose names begin with x_ are

@@ -27,9 +27,14 @@ PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
 
 
 def effect(
-    name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any
+    name: str,
+    confidence: float = 0.95,
+    group: tuple[str, ...] = (),
+    rivals: Mapping[str, float] = {},
+    **parameters: Any,
 ) -> dict[str, Any]:
     rest = {"confidence": confidence, "parameters": parameters, "where": PLACE}
+    rest["rivals"] = [{"name": n, "confidence": c, "why_not": ""} for n, c in rivals.items()]
     return {"name": name, "alias_group": list(group), **rest}
 
 
@@ -190,6 +195,41 @@ def test_the_place_is_held_against_the_catalogue() -> None:
     for said, right in ((in_torque, True), (with_voltage, False)):
         assert scored("one", said, time_skew={"time_s": 0.01})["location"]["equation"] is right
     assert score([missed])["location"]["place"]["of"] == 0
+
+
+def test_the_probability_given_to_the_truth_is_that_of_a_name_or_of_a_rival() -> None:
+    split = diagnosed(effect("compliance", 0.6, rivals={"backlash": 0.4, "cogging": 0.1}))
+    sure, two = diagnosed(effect("backlash", 0.9)), {"cogging": {}, "backlash": GAP}
+    rows = [
+        scored("one", split, backlash=GAP),
+        scored("one", sure, backlash=GAP),
+        scored("one", NOTHING, backlash=GAP),
+        scored("one", sure, 0.5, backlash=GAP),
+        scored("two", split, **two),
+        scored("nothing", split),
+    ]
+    assert [row["probability"] for row in rows] == pytest.approx([0.4, 0.9, 0.0, 0.9, 0.25, None])
+    found = score(rows)["probability"]
+    assert (found["share"], found["of"]) == (pytest.approx(1.3 / 3), 3), "strong single effects"
+    assert found["low"] < rate(2, 3)["low"]
+    assert found["high"] < rate(2, 3)["high"]
+
+
+def test_f1_of_the_location_counts_wrong_places_misses_and_false_alarms() -> None:
+    there, elsewhere = diagnosed(effect("backlash")), diagnosed(effect("cogging"))
+    one = [
+        scored("one", there, backlash=GAP),
+        scored("one", there, backlash=GAP),
+        scored("one", elsewhere, cogging={"torque_Nm": 1.0}),
+        scored("one", NOTHING, backlash=GAP),
+    ]
+    nothing = [scored("nothing", elsewhere), scored("nothing", NOTHING)]
+    found = score([*one, *nothing])["location_f1"]
+    assert (found["precision"], found["recall"]) == (rate(2, 4), rate(2, 4))
+    assert found["f1"] == pytest.approx(0.5)
+    assert found["low"] == pytest.approx(rate(2, 4)["low"])
+    assert score(one)["location_f1"]["f1"] == pytest.approx(2 * (2 / 3) * 0.5 / (2 / 3 + 0.5))
+    assert score([one[3]])["location_f1"]["f1"] == 0.0
 
 
 def test_clopper_pearson() -> None:

@@ -42,6 +42,7 @@ def no_progress(what: str, share: float) -> None:
 def found(verdict: str, *named: str, confidence: float = 0.95, **values: Any) -> dict[str, Any]:
     where = {"coordinate": "travel since reversal", "recordings": ["b"]}
     rest = {"alias_group": [], "confidence": confidence, "parameters": values, "where": where}
+    rest["rivals"] = []
     return {
         "verdict": verdict,
         "effects": [{"name": name, **rest} for name in named],

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.worlds.mujoco_plant.drive import (
+from benchmarks.worlds.loops import (
     CASCADE,
     COUNT,
     LAST,

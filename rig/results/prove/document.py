@@ -171,6 +171,13 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
         f"On {result['outside']['named_confidently']} trials outside the catalogue, an effect was "
         f"named with high confidence."
     ]
+    if result["probability"]["of"]:
+        mean, f1 = result["probability"], result["location_f1"]
+        lines.append(
+            f"Mean probability given to the injected effect, one effect of strength {STRONG:g} or "
+            f"more: {mean['share']:.2f} ({mean['low']:.2f} to {mean['high']:.2f}, {mean['of']} "
+            f"trials). F1 of the location: {f1['f1']:.2f} ({f1['low']:.2f} to {f1['high']:.2f})."
+        )
     for key, words in (
         ("oracle_fraction", "the decrease with the true effects"),
         ("floor_fraction", "the decrease down to the noise floor"),

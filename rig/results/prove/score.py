@@ -94,7 +94,7 @@ diagnosis and oracle are compared.
 FAINT = 1e-12
 NAMED = ("name", "alias_group", "confidence")
 """Values of an identified effect that a row holds."""
-VERSION = 6
+VERSION = 7
 """Version of the rows and recordings; a proof that began with another version is not continued."""
 
 
@@ -121,8 +121,8 @@ def row_of(
 
     Returns:
         A row; ``refused`` is the message if no diagnosis was possible, else null; ``top1``,
-        ``alias``, ``exact`` and ``confident`` are null for kinds of trials to which they do not
-        apply.
+        ``alias``, ``exact``, ``confident`` and ``probability`` are null for kinds of trials to
+        which they do not apply.
     """
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
@@ -144,6 +144,7 @@ def row_of(
         "alarm": verdict not in ("nothing_missing", REFUSED),
         "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
+        "probability": _probability(names, found) if kind in ("one", "two") else None,
         "baselines": {
             method: {"named": list(said), **_hits(kind, names, [(name,) for name in said])}
             for method, said in judgement.baselines.items()
@@ -181,6 +182,15 @@ def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dic
         "alias": set(names) <= {name for group in counted for name in group},
         "exact": set(names) == {group[0] for group in said},
     }
+
+
+def _probability(names: Sequence[str], found: Sequence[Mapping[str, Any]]) -> float:
+    """Return the mean of the greatest confidence in each injected effect, named or a rival."""
+    given: dict[str, float] = defaultdict(float)
+    for effect in found:
+        for said in (effect, *effect["rivals"]):
+            given[said["name"]] = max(given[said["name"]], said["confidence"])
+    return statistics.fmean(given[name] for name in names)
 
 
 def _parameters(
@@ -251,8 +261,15 @@ Row = Mapping[str, Any]
 LEVEL = 0.95
 
 
-def rate(hits: int, of: int) -> dict[str, Any]:
-    """Return a share with its Clopper-Pearson interval at 95 %."""
+def rate(hits: float, of: int) -> dict[str, Any]:
+    """Return a share with its Clopper-Pearson interval at 95 %.
+
+    Args:
+        hits: Number of trials, or the sum of a value between 0 and 1 over the trials. The variance
+            of such a value is at most that of a hit with the same mean, so that the interval of its
+            mean is too wide rather than too narrow.
+        of: Number of all trials.
+    """
     tail = (1.0 - LEVEL) / 2.0
     low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, of - hits + 1))
     high = 1.0 if hits == of else float(beta.ppf(1.0 - tail, hits + 1, of - hits))
@@ -417,6 +434,8 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         },
         "methods": methods(rows),
         "location": location(strong),
+        "location_f1": location_f1(strong, nothing),
+        "probability": rate(sum(row["probability"] for row in strong), len(strong)),
         "confusion": confusion(one),
         "power": power(one),
         "oracle_fraction": middle(one + two, "oracle_fraction"),
@@ -482,6 +501,34 @@ def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
         if row["location"] is not None and row["location"]["found"] is not None
     ]
     return {key: count(found, key) for key in ("equation", "coordinate", "place")}
+
+
+def location_f1(one: Sequence[Row], nothing: Sequence[Row]) -> dict[str, Any]:
+    """Return precision, recall and F1 of the stated places, as arXiv 2606.23215 scores locations.
+
+    A wrong place counts against both precision and recall, a missed effect against the recall, a
+    false alarm against the precision. ``low`` and ``high`` are the F1 of the lower and of the upper
+    limits of precision and recall.
+
+    Args:
+        one: Trials with one effect.
+        nothing: Trials without an effect.
+    """
+    right = sum(bool(row["location"]["place"]) for row in one)
+    stated = sum(row["location"]["found"] is not None for row in one)
+    precision = rate(right, stated + sum(row["alarm"] for row in nothing))
+    recall = rate(right, len(one))
+    f1 = {}
+    for end in ("share", "low", "high"):
+        p, r = precision[end] or 0.0, recall[end] or 0.0
+        f1[end] = 2.0 * p * r / (p + r) if p + r else 0.0
+    return {
+        "precision": precision,
+        "recall": recall,
+        "f1": f1["share"],
+        "low": f1["low"],
+        "high": f1["high"],
+    }
 
 
 def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""Computes one step of the drive around MuJoCo's motor: encoder, position loop, velocity loop and
-current loop, or the torque that a host sends.
+"""Computes one step of a drive around a machine that another package simulates: encoder, position
+loop, velocity loop and current loop, or the torque that a host sends.
 """
 
 from __future__ import annotations
