@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -370,18 +370,29 @@ def compare(prepared: Prepared, response: Response) -> Sums:
     Raises:
         RecordingError: The recording has no angle.
     """
-    angle = joint_angle(prepared.recording)
-    if angle is None:
-        raise RecordingError(
-            f"{prepared.recording.name}: the recording has no angle channel, "
-            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
-        )
-    off = response.angle - angle
     error = simulated_torque(prepared, response) - prepared.drive_torque
-    return Sums(
+    return replace(
+        compare_angle(prepared.recording, response),
         torque_error=float(error @ error),
         torque=float(prepared.drive_torque @ prepared.drive_torque),
         torque_samples=len(error),
+    )
+
+
+def compare_angle(recording: Recording, response: Response) -> Sums:
+    """Return the sums of the angle alone of a simulated response against its recording.
+
+    Raises:
+        RecordingError: The recording has no angle.
+    """
+    angle = joint_angle(recording)
+    if angle is None:
+        raise RecordingError(
+            f"{recording.name}: the recording has no angle channel, "
+            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
+        )
+    off = response.angle - angle
+    return Sums(
         angle_error=float(off @ off),
         angle_samples=len(off),
         angle_absolute=float(np.sum(np.abs(off))),
