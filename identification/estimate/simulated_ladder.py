@@ -108,7 +108,7 @@ class Piece:
     def _loop(self, bench: Bench) -> Array:
         controller = self.recording.controller
         if controller is not None and "command" in self.recording.channels:
-            return loop_of(controller, replace(self.recording, bench=bench))
+            return loop_of(controller, bench, self.recording.name)
         if not self.volts:
             return np.array([0.0, 0.0, math.inf, 1.0, 0.0])
         assert bench.resistance is not None
