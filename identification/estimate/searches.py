@@ -474,8 +474,8 @@ def solve_unloaded(
         inertia: Index of the inertia, if it is free.
         rejects: Function that returns whether acceptance rejects the noise at a point, if the
             equation error shows that the recordings have physics that the model lacks; then few
-            starts without an accepted noise end the search, except for starts with an inertia far
-            off that are likelier.
+            starts without an accepted noise are followed at most by the likeliest start with an
+            inertia far off.
 
     Returns:
         The best end, and the chi-square of every solution.
@@ -509,12 +509,13 @@ def solve_unloaded(
         _try_each([replace(best.point, noise=begun.noise)], free, ends)
     best = _best(ends)
     if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
-        most = math.inf
-        if hopeless(_TRIED):
-            most = min(map(_deviance, (begun, *grid(at_system)[:1])))
         heavier = (_heavier(at_system, share) for share in _FAR)
         far = (start for p in heavier for start in grid(p)[:1])
-        _try_each((p for p in far if most == math.inf or _deviance(p) < most), free, ends)
+        if hopeless(_TRIED):
+            here = min(map(_deviance, (begun, *grid(at_system)[:1])))
+            likeliest = min(far, key=_deviance, default=begun)
+            far = (p for p in [likeliest] if _deviance(p) < here)
+        _try_each(far, free, ends)
         best = _best(ends)
     if best is None:
         raise np.linalg.LinAlgError("no start of the search leads to a solution")

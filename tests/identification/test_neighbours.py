@@ -119,10 +119,8 @@ def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(
     assert set(begun) == {1.0}
 
 
-@pytest.mark.parametrize(
-    ("likeliest", "far"), [(1.0, []), (30.0, [3.0, 10.0, 30.0, 100.0]), (0.3, [0.3, 0.1])]
-)
-def test_where_physics_is_missing_two_starts_are_followed_by_likelier_ones_only(
+@pytest.mark.parametrize(("likeliest", "far"), [(1.0, []), (30.0, [30.0]), (0.3, [0.3])])
+def test_where_physics_is_missing_two_starts_are_followed_by_a_likelier_one_only(
     monkeypatch: pytest.MonkeyPatch, likeliest: float, far: list[float]
 ) -> None:
     begun: list[float] = []
