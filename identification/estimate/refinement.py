@@ -78,17 +78,17 @@ def refusal(
     )
     if not np.all(np.isfinite(judged)):
         return "the search diverged to values that are not finite"
-    if abs(refined.whiteness) > limits.whiteness:
-        return (
-            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
-            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
-            "model lacks"
-        )
     if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
             f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
             f"than {limits.noise_ratio:g} times the torque scatter from sample to sample, "
             f"{refined.torque_scatter:.3g}, so the parameters would compensate physics that the "
+            "model lacks"
+        )
+    if abs(refined.whiteness) > limits.whiteness:
+        return (
+            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
+            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
             "model lacks"
         )
     if refined.repeating_share > limits.repeating_share:
