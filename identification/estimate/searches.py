@@ -433,7 +433,8 @@ a fiftieth of the true inertia.
 """
 _TRIED = 2
 """Number of starts after which the search ends if the equation error shows missing physics and
-acceptance rejects the noise at every end.
+acceptance rejects the noise at every end; without any end, all inertias near that of the equation
+error are tried.
 """
 _CLEARLY = 2.0
 """Ratio of a statistic of the solved unloaded fit to its limit of acceptance, above which the
@@ -489,7 +490,8 @@ def solve_unloaded(
     ends: list[Solved] = []
 
     def hopeless(tried: int) -> bool:
-        return tried >= _TRIED and rejects is not None and all(rejects(e.point) for e in ends)
+        enough = _TRIED if ends else len(_INERTIAS)
+        return rejects is not None and tried >= enough and all(rejects(e.point) for e in ends)
 
     def grid(point: Point) -> list[Point]:
         return breakaway_starts(point, MC, SYSTEM_RISE, OMEGA_SF)
@@ -503,7 +505,13 @@ def solve_unloaded(
     last: Solved | None = None
     for _ in range(_AGAIN if both else 0):
         best = _best(ends)
-        if best is None or best is last or best.chi2 < SOLVED or spent(begun) or hopeless(_TRIED):
+        if (
+            best is None
+            or best is last
+            or best.chi2 < SOLVED
+            or spent(begun)
+            or hopeless(len(_INERTIAS))
+        ):
             break
         last = best
         _try_each([replace(best.point, noise=begun.noise)], free, ends)
@@ -511,7 +519,7 @@ def solve_unloaded(
     if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
         heavier = (_heavier(at_system, share) for share in _FAR)
         far = (start for p in heavier for start in grid(p)[:1])
-        if hopeless(_TRIED):
+        if hopeless(len(_INERTIAS)):
             here = min(map(_deviance, (begun, *grid(at_system)[:1])))
             likeliest = min(far, key=_deviance, default=begun)
             far = (p for p in [likeliest] if _deviance(p) < here)
@@ -691,7 +699,9 @@ def refine_stages(
             correlated and repeating_share(point) > _CLEARLY * limits.repeating_share
         )
 
-    misfit = equation_noise > loudest
+    # Correlated noise enters the equation error as missing physics does, and at the end of a search
+    # from a bad start it may repeat as physics does.
+    misfit = equation_noise > loudest and not correlated
     first, chi2s = solve_unloaded(begun, system, inertia, rejects if misfit else None)
     starts = [
         Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
