@@ -37,6 +37,7 @@ from identification.estimate.parameter_table import (
 from identification.estimate.refinement import (
     Found,
     corrected,
+    equation_noise,
     noise_of,
     refine,
     refine_pieces,
@@ -105,9 +106,12 @@ def identify(
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     doubts = varpro.averaging(active, values, names, model.alpha)
+    noise = equation_noise(by_load(active)[0], values, model.alpha)
     tell("joint", 0.0)
     found = refine(
-        lambda correlated: refine_recordings(fitted, values, names, model, correlated, tell),
+        lambda correlated: refine_recordings(
+            fitted, values, names, model, correlated, tell, settings.acceptance, noise
+        ),
         active,
         values,
         names,
@@ -378,11 +382,19 @@ def identify_long(
     fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
     values, stages = solve_stages(*by_load(fit), model, tell)
     names = free_names(values, model)
+    noise = equation_noise(by_load(fit)[0], values, model.alpha)
     tell("joint", 0.0)
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
     found = refine(
         lambda correlated: refine_pieces(
-            heads, every, values, names, model, lambda share: tell("joint", share), correlated
+            heads,
+            every,
+            values,
+            names,
+            model,
+            lambda share: tell("joint", share),
+            correlated,
+            noise,
         ),
         fit,
         values,

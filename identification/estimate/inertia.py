@@ -17,6 +17,7 @@ from identification.filter.likelihood import HUBER_THRESHOLD, Point, Searched, l
 from identification.filter.segments import Motion
 from identification.model.parameters import INERTIA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 from identification.numerics.least_squares import BlockArrow, huber_weight
 
 
@@ -147,20 +148,20 @@ def mean_curve(
     """
     total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
     for curve, begun in zip(curves, onsets, strict=True):
-        ahead = int(np.floor(begun - onset))
-        first, last = max(0, -ahead), min(length, len(curve) - 1 - ahead)
-        if first >= last:
-            continue
-        share = (np.arange(first, last) + begun - onset - np.arange(first + ahead, last + ahead))[
-            :, None
-        ]
-        before, after = (
-            curve[first + ahead : last + ahead],
-            curve[first + ahead + 1 : last + ahead + 1],
-        )
-        total[first:last] += (1.0 - share) * before + share * after
-        seen[first:last] += 1.0
+        _add_shifted(curve, begun, onset, int(np.floor(begun - onset)), total, seen)
     return total / np.maximum(seen, 1.0), seen
+
+
+@compiled
+def _add_shifted(
+    curve: Array, begun: float, onset: float, ahead: int, total: Array, seen: Array
+) -> None:
+    """Add a curve, interpolated linearly between its samples, to ``total``; count in ``seen``."""
+    for k in range(max(0, -ahead), min(len(total), len(curve) - 1 - ahead)):
+        share = k + begun - onset - (k + ahead)
+        for j in range(total.shape[1]):
+            total[k, j] += (1.0 - share) * curve[k + ahead, j] + share * curve[k + ahead + 1, j]
+        seen[k, 0] += 1.0
 
 
 _WIDENING = 0.2

@@ -26,12 +26,13 @@ from identification.estimate.equation_error import (
 from identification.estimate.parameter_table import fit_of
 from identification.model.parameters import LADDER, LOAD_PARAMETERS, bears_load
 from identification.numerics.arrays import Array, Progress, silent
+from identification.numerics.compiled import each
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Fit, Identification, Parameter
-from identification.simulate.closed_loop import Sums, compare, pooled, replay
+from identification.simulate.closed_loop import Sums, compare, compare_angle, pooled, replay
 
 COARSE, FINE, NEAR = 12, 17, 1.8
 """Number of trial Stribeck speeds over the whole range; number of trial Stribeck speeds near that
@@ -111,10 +112,12 @@ class Redraw:
         )
 
     def _angles(self, drawn: Indices, values: Mapping[str, float]) -> Sums:
-        sums: dict[int, Sums] = {}
-        for k in np.unique(drawn).tolist():
-            p = self._scored[k]
-            sums[k] = compare(p, replay(p.recording, values, self._alpha, STEP_S))
+        def of(k: int) -> Sums:
+            recording = self._scored[k].recording
+            return compare_angle(recording, replay(recording, values, self._alpha, STEP_S))
+
+        numbers = np.unique(drawn).tolist()
+        sums = dict(zip(numbers, each(of, numbers), strict=True))
         return pooled(sums[k] for k in drawn.tolist())
 
     def _solve(self, drawn: Indices) -> dict[str, float]:

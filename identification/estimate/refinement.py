@@ -42,7 +42,7 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import equilibrated
 from identification.numerics.spread import Spread
-from identification.prepare import Prepared
+from identification.prepare import Prepared, joint_angle
 from identification.recording import Model, Recording
 from identification.result import (
     DEFAULT,
@@ -52,6 +52,7 @@ from identification.result import (
     ReplicateSettings,
     Starts,
 )
+from identification.signals import quantum
 
 
 def refusal(
@@ -77,17 +78,17 @@ def refusal(
     )
     if not np.all(np.isfinite(judged)):
         return "the search diverged to values that are not finite"
-    if abs(refined.whiteness) > limits.whiteness:
-        return (
-            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
-            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
-            "model lacks"
-        )
     if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
             f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
             f"than {limits.noise_ratio:g} times the torque scatter from sample to sample, "
             f"{refined.torque_scatter:.3g}, so the parameters would compensate physics that the "
+            "model lacks"
+        )
+    if abs(refined.whiteness) > limits.whiteness:
+        return (
+            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
+            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
             "model lacks"
         )
     if refined.repeating_share > limits.repeating_share:
@@ -180,7 +181,7 @@ def refine(
         elif (
             abs(refined.whiteness) > limits.whiteness
             or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
-        ):
+        ) and refined.noise.torque < _LOUDEST_SENSOR * refined.torque_scatter:
             # The cause may be correlated noise of the current sensor, and not unmodelled physics.
             other, also = judged(True)
             if other is not None:
@@ -208,6 +209,29 @@ def refine(
         stages,
         partly_used(refined.left_out),
     )
+
+
+def equation_noise(
+    unloaded: Sequence[Prepared], values: Mapping[str, float], alpha: float
+) -> float:
+    """Return the white torque noise that would explain the equation error beside the quantisation
+    of the angle, N m; zero without unloaded recordings.
+
+    The equation error has the share 2 b T of the variance of white torque noise (bandwidth b,
+    sample period T), and the quantisation error of the angle enters it as J times its second
+    derivative.
+    """
+    explained = 0.0
+    if not unloaded:
+        return explained
+    recording, bandwidth = unloaded[0].recording, unloaded[0].bandwidth_Hz
+    share = 2.0 * bandwidth * recording.period
+    angle = joint_angle(recording)
+    if angle is not None:
+        acceleration = quantum(angle) * (2.0 * math.pi * bandwidth) ** 2 / math.sqrt(60.0)
+        explained = (values["J"] * acceleration) ** 2
+    left = typical_error(unloaded, values, alpha) ** 2 / share - explained
+    return math.sqrt(max(left, 0.0))
 
 
 def corrected(
@@ -284,6 +308,8 @@ def refine_recordings(
     model: Model,
     correlated: bool = False,
     progress: Progress = silent,
+    limits: AcceptanceLimits = DEFAULT.acceptance,
+    equation_noise: float = 0.0,
 ) -> Refined | str:
     """Return the refined estimate, or a text with the reason why prediction errors do not apply.
 
@@ -294,6 +320,8 @@ def refine_recordings(
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
         progress: Called at the start of each fit.
+        limits: Limits of acceptance; a fit that they reject ends early.
+        equation_noise: White torque noise that would explain the unloaded equation error, N m.
     """
     if not names:
         return "every parameter is fixed"
@@ -322,7 +350,9 @@ def refine_recordings(
         # equation error, at its bandwidth, does not show it.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
-        refined = staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
+        refined = staged.refine_stages(
+            unloaded, loaded, values, model, correlated, progress, limits, equation_noise
+        )
     except np.linalg.LinAlgError:
         return (
             "the search by prediction errors finds no solution: the recordings do not determine "
@@ -372,6 +402,10 @@ def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
     return {name: exact.half_width(name) for name in names}
 
 
+_LOUDEST_SENSOR = 10.0
+"""Ratio of the torque noise to the torque scatter above which the noise is not the correlated noise
+of a current sensor.
+"""
 PASSES = 3
 SETTLED = 0.2
 """Size of a step below which the passes end: rms over the parameters, in standard errors."""
@@ -385,6 +419,7 @@ def refine_pieces(
     model: Model,
     progress: Callable[[float], None],
     correlated: bool = False,
+    equation_noise: float = 0.0,
 ) -> Refined | str:
     """Return the refined estimate over all pieces, or a text with the reason why prediction errors
     do not apply.
@@ -398,9 +433,12 @@ def refine_pieces(
         model: Declared terms and fixed values.
         progress: Called with the ratio of the passes done to the greatest number of passes.
         correlated: Whether the torque noise has a correlated part.
+        equation_noise: White torque noise that would explain the unloaded equation error, N m.
     """
-    start = refine_recordings(heads, values, names, model, correlated)
-    if isinstance(start, str):
+    start = refine_recordings(
+        heads, values, names, model, correlated, equation_noise=equation_noise
+    )
+    if isinstance(start, str) or start.partial:
         return start
     # Least squares give a biased inertia, because noise in the drive's loop counts as excitation;
     # therefore the inertia is that of the heads.

@@ -7,9 +7,8 @@ from neighbours of the best end, and a list of the basins that were found.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 
 import numpy as np
 
@@ -46,7 +45,7 @@ from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import each
 from identification.numerics.least_squares import huber, negative_log_likelihood
 from identification.recording import Model
-from identification.result import Starts
+from identification.result import DEFAULT, AcceptanceLimits, Starts
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 """Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
@@ -163,7 +162,7 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
     likelier = [s for s, there in zip(followed, begun, strict=True) if there < left]
     ends += _ended_each(likelier, (1.0,))
     best = _neighbours(min(ends, key=lambda end: end.rank), ends)
-    if _missed(best):
+    if _missed(best.point):
         best = _smoothed(starts, best, ends)
     return LoadedFit(best.point, best.deviance - min(begun), tuple(ends))
 
@@ -228,9 +227,9 @@ def _cost(point: Point) -> float:
     return cost if math.isfinite(cost) else math.inf
 
 
-def _missed(end: End) -> bool:
-    """Return whether the residuals at an end are far greater than the noise of the recordings."""
-    residual = end.point.weighted().residuals(end.point.origin())
+def _missed(point: Point) -> bool:
+    """Return whether the residuals at a point are far greater than the noise of the recordings."""
+    residual = point.weighted().residuals(point.origin())
     return bool(np.mean(huber(residual, HUBER_THRESHOLD)) > _MISSED)
 
 
@@ -244,7 +243,7 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
             break
         ends.append(_ended(start, _TEMPERING, _WIDE_STEP))
         best = min(best, ends[-1], key=lambda end: end.rank)
-        if not _missed(best):
+        if not _missed(best.point):
             break
     return best if best is before else _neighbours(best, ends)
 
@@ -432,6 +431,16 @@ _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
 tried if no other start point leads to a solution. In short, fast slips the equation error may give
 a fiftieth of the true inertia.
 """
+_TRIED = 2
+"""Number of starts after which the search ends if the equation error shows missing physics and
+acceptance rejects the noise at every end; without any end, all inertias near that of the equation
+error are tried.
+"""
+_CLEARLY = 2.0
+"""Ratio of a statistic of the solved unloaded fit to its limit of acceptance, above which the
+refinement is rejected without a loaded and a joint fit. The limits apply to the statistics of all
+recordings, which are means over the unloaded and the loaded ones.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -448,7 +457,10 @@ class Solved:
 
 
 def solve_unloaded(
-    begun: Point, system: Sequence[int], inertia: Sequence[int]
+    begun: Point,
+    system: Sequence[int],
+    inertia: Sequence[int],
+    rejects: Callable[[Point], bool] | None = None,
 ) -> tuple[Solved, tuple[float, ...]]:
     """Solve the unloaded fit from one start point after another, until the estimating equations are
     solved.
@@ -461,6 +473,10 @@ def solve_unloaded(
         begun: Point at the equation error's values.
         system: Indices of the free parameters except the inertia.
         inertia: Index of the inertia, if it is free.
+        rejects: Function that returns whether acceptance rejects the noise at a point, if the
+            equation error shows that the recordings have physics that the model lacks; then few
+            starts without an accepted noise are followed at most by the likeliest start with an
+            inertia far off.
 
     Returns:
         The best end, and the chi-square of every solution.
@@ -471,29 +487,52 @@ def solve_unloaded(
     free = system, inertia
     both = bool(system) and bool(inertia)
     at_system = begun.freeing(system)
+    ends: list[Solved] = []
+
+    def hopeless(tried: int) -> bool:
+        enough = _TRIED if ends else len(_INERTIAS)
+        return rejects is not None and tried >= enough and all(rejects(e.point) for e in ends)
+
+    def grid(point: Point) -> list[Point]:
+        return breakaway_starts(point, MC, SYSTEM_RISE, OMEGA_SF)
 
     def starts() -> Iterator[Point]:
         yield from (_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,)))
-        searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
-        for start in searched[:STARTS]:
+        for start in (grid(at_system) if system else [])[:STARTS]:
             yield from (_heavier(start, share) for share in _INERTIAS[: len(inertia) * 3])
 
-    found: list[float] = []
-    best = _best_of(starts(), free, None, found)
+    _try_each(starts(), free, ends, hopeless)
     last: Solved | None = None
     for _ in range(_AGAIN if both else 0):
-        if best is None or best is last or best.chi2 < SOLVED or spent(begun):
+        best = _best(ends)
+        if (
+            best is None
+            or best is last
+            or best.chi2 < SOLVED
+            or spent(begun)
+            or hopeless(len(_INERTIAS))
+        ):
             break
         last = best
-        again = replace(best.point, noise=begun.noise)
-        best = _best_of([again], free, best, found)
+        _try_each([replace(best.point, noise=begun.noise)], free, ends)
+    best = _best(ends)
     if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
         heavier = (_heavier(at_system, share) for share in _FAR)
-        far = (breakaway_starts(p, MC, SYSTEM_RISE, OMEGA_SF)[:1] for p in heavier)
-        best = _best_of(chain.from_iterable(far), free, best, found)
+        far = (start for p in heavier for start in grid(p)[:1])
+        if hopeless(len(_INERTIAS)):
+            here = min(map(_deviance, (begun, *grid(at_system)[:1])))
+            likeliest = min(far, key=_deviance, default=begun)
+            far = (p for p in [likeliest] if _deviance(p) < here)
+        _try_each(far, free, ends)
+        best = _best(ends)
     if best is None:
         raise np.linalg.LinAlgError("no start of the search leads to a solution")
-    return best, tuple(found)
+    return best, tuple(end.chi2 for end in ends)
+
+
+def _best(ends: Sequence[Solved]) -> Solved | None:
+    """Return the first end of least chi-square, or None without ends."""
+    return min(ends, key=lambda end: end.chi2, default=None)
 
 
 def _heavier(point: Point, share: float) -> Point:
@@ -501,19 +540,22 @@ def _heavier(point: Point, share: float) -> Point:
     return replace(point, vector=_scaled(point, INERTIA, share))
 
 
-def _best_of(
-    starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
-) -> Solved | None:
-    """Try start points until the equations are solved; return the best end so far."""
+def _try_each(
+    starts: Iterable[Point],
+    free: _Free,
+    ends: list[Solved],
+    hopeless: Callable[[int], bool] = lambda _tried: False,
+) -> None:
+    """Try start points until the equations are solved, or until the number of starts tried is
+    ``hopeless``; append to ``ends``.
+    """
     for number, start in enumerate(starts):
-        if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
+        solved = bool(ends) and min(end.chi2 for end in ends) < SOLVED
+        if solved or (spent(start) and (ends or number)) or hopeless(number):
             break
-        solved = _solved_from(start, free)
-        if solved is not None:
-            found.append(solved.chi2)
-            if best is None or solved.chi2 < best.chi2:
-                best = solved
-    return best
+        found = _solved_from(start, free)
+        if found is not None:
+            ends.append(found)
 
 
 def _solved_from(start: Point, free: _Free) -> Solved | None:
@@ -562,6 +604,9 @@ class Refined:
         starts: Search ends of each search.
         left_out: Name to what is lacking, of recordings to which prediction errors do not apply.
         stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
+        partial: Whether the fit ended without the joint fit, because acceptance rejects the end of
+            the unloaded or the loaded fit; statistics and ``joint`` are those of this end then, and
+            covariances are not computed.
     """
 
     values: Mapping[str, float]
@@ -582,6 +627,7 @@ class Refined:
     starts: tuple[Starts, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     stopped: bool = False
+    partial: bool = False
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
@@ -624,8 +670,12 @@ def refine_stages(
     model: Model,
     correlated: bool = False,
     progress: Progress = silent,
+    limits: AcceptanceLimits = DEFAULT.acceptance,
+    equation_noise: float = 0.0,
 ) -> Refined:
     """Fit the unloaded recordings, then the loaded recordings, then all recordings jointly.
+
+    The fit ends after the unloaded or the loaded recordings if acceptance rejects their fit.
 
     Args:
         unloaded: Unloaded recordings.
@@ -634,32 +684,63 @@ def refine_stages(
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
         progress: Called at the start of each of the three fits.
+        limits: Limits of acceptance.
+        equation_noise: White torque noise that would explain the unloaded equation error, N m. The
+            minimum of the equation error is global: if this noise is above the limit, the model
+            lacks physics, or the motion is too fast for the bandwidth of the equation error.
     """
     system, load, inertia = _sought(model)
     progress(f"unloaded fit, recordings: {len(unloaded)}", 0.0)
     begun = _first_point(unloaded, start, system, model, correlated)
-    first, chi2s = solve_unloaded(begun, system, inertia)
+    loudest = limits.noise_ratio * torque_noise(unloaded)
+
+    def rejects(point: Point) -> bool:
+        return point.noise.torque > loudest or (
+            correlated and repeating_share(point) > _CLEARLY * limits.repeating_share
+        )
+
+    # Correlated noise enters the equation error as missing physics does, and at the end of a search
+    # from a bad start it may repeat as physics does.
+    misfit = equation_noise > loudest and not correlated
+    first, chi2s = solve_unloaded(begun, system, inertia, rejects if misfit else None)
     starts = [
         Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
     ]
     evaluations, likelihood_drop, stopped = begun.filter.evaluations, 0.0, spent(begun)
     free, ends = [*system, *inertia], [first.point]
-    if loaded:
+    shared = repeating_share(first.point) if correlated else 0.0
+    reached, rejected = (
+        first.point,
+        (
+            first.chi2 > limits.chi2
+            or (first.chi2 >= SOLVED and rejects(first.point))
+            or first.point.noise.torque > _CLEARLY * loudest
+            or shared > _CLEARLY * limits.repeating_share
+        ),
+    )
+    if loaded and not rejected:
         progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
         at_load = Point.of(loaded, first.point.vector, load, model, first.point.noise)
         second = refine_from(at_load, breakaway_starts(at_load, MU_C, LOAD_RISE, OMEGA_SL))
         evaluations, likelihood_drop = evaluations + at_load.filter.evaluations, second.drop
         stopped |= second.stopped
         finite = tuple(end.deviance for end in second.ends if math.isfinite(end.deviance))
-        reached = min(finite, default=math.inf) + SAME_END
-        starts.append(Starts("loaded", "-2 log likelihood", finite, reached))
+        least = min(finite, default=math.inf) + SAME_END
+        starts.append(Starts("loaded", "-2 log likelihood", finite, least))
         free, ends = [*system, *load, *inertia], basins(second)
-    progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
-    fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
-    joint = fitted.point
+        if _missed(second.point):
+            reached = replace(second.point, noise=likeliest_noise(second.point))
+            rejected = reached.noise.torque > _CLEARLY * limits.noise_ratio * torque_noise(loaded)
     names = tuple(n for n, k in INDEX.items() if k in free)
+    if rejected:
+        joint, iterations = reached, 0
+        achieved = floor = np.full((len(names), len(names)), math.nan)
+    else:
+        progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
+        joint, iterations = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
+        achieved, floor = named_covariances(covariances(joint), joint, names)
+        shared = repeating_share(joint) if correlated else 0.0
     residual = joint.weighted().residuals(joint.origin())
-    achieved, floor = named_covariances(covariances(joint), joint, names)
     innovation_rms, whiteness = innovation_statistics(residual, joint.breakaways)
     return Refined(
         values={**start, **unpack(joint.vector, [n for n in INDEX if n in start])},
@@ -669,16 +750,17 @@ def refine_stages(
         innovation_rms=innovation_rms,
         whiteness=whiteness,
         noise=joint.noise,
-        repeating_share=repeating_share(joint) if correlated else 0.0,
+        repeating_share=shared,
         torque_scatter=torque_noise(joint.motions),
-        evaluations=evaluations + joint.filter.evaluations,
-        iterations=fitted.iterations,
+        evaluations=evaluations + (0 if rejected else joint.filter.evaluations),
+        iterations=iterations,
         breakaways=joint.breakaways,
         likelihood_drop=likelihood_drop,
         equations_chi2=first.chi2,
         joint=joint,
         starts=tuple(starts),
         stopped=stopped,
+        partial=rejected,
     )
 
 

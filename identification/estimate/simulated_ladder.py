@@ -22,6 +22,7 @@ from identification.model.parameters import (
     drive_share,
 )
 from identification.numerics.arrays import Array, Progress, silent
+from identification.numerics.compiled import each
 from identification.numerics.least_squares import (
     Box,
     Minimum,
@@ -107,7 +108,7 @@ class Piece:
     def _loop(self, bench: Bench) -> Array:
         controller = self.recording.controller
         if controller is not None and "command" in self.recording.channels:
-            return loop_of(controller, replace(self.recording, bench=bench))
+            return loop_of(controller, bench, self.recording.name)
         if not self.volts:
             return np.array([0.0, 0.0, math.inf, 1.0, 0.0])
         assert bench.resistance is not None
@@ -429,7 +430,9 @@ class LoopFit:
 
 def errors(pieces: Sequence[Piece], point: Point, alpha: float) -> list[Array]:
     """Return the predicted angle less the measured angle of each piece, rad."""
-    return [p.predict(point.values, point.motor, point.lateness, alpha) - p.angle for p in pieces]
+    return each(
+        lambda p: p.predict(point.values, point.motor, point.lateness, alpha) - p.angle, pieces
+    )
 
 
 def absolute_error(found: Sequence[Array]) -> float:
@@ -859,8 +862,8 @@ def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Cas
     scored = _by_recording(problem.scored, found, found.x)
     trained, tested = [], []
     for x, (fit, score) in zip(points, problem.draws, strict=True):
-        trained.append(_mean(_by_recording(problem.fitted, found, x), fit))
-        tested.append(_mean(_by_recording(problem.scored, found, x), score))
+        trained.append(_drawn_mean(problem.fitted, found, x, fit))
+        tested.append(_drawn_mean(problem.scored, found, x, score))
     return _Case(
         found,
         crossed,
@@ -909,6 +912,15 @@ def _by_recording(pieces: Sequence[Piece], found: LoopFit, x: Array) -> Array:
         own = np.array([float(np.sum(np.abs(error))), float(len(error))])
         sums[piece.recording.name] = sums.get(piece.recording.name, 0.0) + own
     return np.array(list(sums.values()))
+
+
+def _drawn_mean(pieces: Sequence[Piece], found: LoopFit, x: Array, counts: Array) -> float:
+    """Return the mean absolute error on drawn recordings; the others are not simulated."""
+    names = list(dict.fromkeys(p.recording.name for p in pieces))
+    taken = {name for name, count in zip(names, counts, strict=True) if count}
+    sums = np.zeros((len(names), 2))
+    sums[counts > 0.0] = _by_recording([p for p in pieces if p.recording.name in taken], found, x)
+    return _mean(sums, counts)
 
 
 def _mean(sums: Array, counts: Array) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from identification.prepare import (
     joint_angle,
     uniform_grid,
 )
-from identification.recording import Controller, Recording, RecordingError
+from identification.recording import Bench, Controller, Recording, RecordingError
 from identification.signals import resample, smooth
 
 # Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the
@@ -39,25 +39,27 @@ def next_speed(
     """
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
+    static = friction(0.0, moment, gear, body)[0]
     if speed == 0.0:
         side = 1.0 if torque > 0.0 else -1.0
-        if abs(torque) <= friction(0.0, moment, gear, body)[0]:
+        if abs(torque) <= static:
             return 0.0
     start = abs(speed)
-    before = friction(start, moment, gear, body)[0] + damping * start
+    force, slope = friction(start, moment, gear, body)
+    before = force + damping * start
     # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2 has a root above 0 unless the joint
     # stops.
     rest = inertia / h * start + side * torque - 0.5 * before
-    if rest <= 0.5 * friction(0.0, moment, gear, body)[0]:
+    if rest <= 0.5 * static:
         return 0.0
     v = start
     for _ in range(_ITERATIONS):
-        force, slope = friction(v, moment, gear, body)
         grade = max(inertia / h + 0.5 * (slope + damping), 0.25 * inertia / h)
         change = (rest - inertia / h * v - 0.5 * (force + damping * v)) / grade
         v = max(v + change, 0.0)
         if abs(change) <= _EXACT * (1.0 + v):
             break
+        force, slope = friction(v, moment, gear, body)
     return side * v
 
 
@@ -189,8 +191,9 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
     return body
 
 
-def loop_of(controller: Controller, recording: Recording) -> Array:
-    """Return the kernel's parameters of controller and drive, shape (5,).
+def loop_of(controller: Controller, bench: Bench, name: str) -> Array:
+    """Return the kernel's parameters of controller and drive, shape (5,); ``name`` is that of the
+    recording, for messages.
 
     An output of kind ``duty`` or ``voltage`` sets the armature voltage U: torque = Km i (U - Ke i
     omega)/R, with the inductance neglected.
@@ -200,14 +203,13 @@ def loop_of(controller: Controller, recording: Recording) -> Array:
     """
     per_output, damping = 1.0, 0.0
     if controller.output != "torque":
-        bench = recording.bench
         if (
             bench.resistance is None
             or bench.back_emf_constant is None
             or bench.torque_constant is None
         ):
             raise RecordingError(
-                f"{recording.name}: a controller with output {controller.output!r} needs "
+                f"{name}: a controller with output {controller.output!r} needs "
                 f"bench.resistance, "
                 "bench.back_emf_constant and bench.torque_constant"
             )
@@ -295,7 +297,7 @@ def replay(
             f"{recording.name}: the recording has no angle channel, and a simulation starts from "
             "the measured angle; add a channel `angle` or `motor_angle`"
         )
-    loop = loop_of(recording.controller, recording)
+    loop = loop_of(recording.controller, recording.bench, recording.name)
     return simulate(body_of(values, recording, alpha), loop, inputs, float(measured[0]), 0.0, step)
 
 
@@ -370,18 +372,29 @@ def compare(prepared: Prepared, response: Response) -> Sums:
     Raises:
         RecordingError: The recording has no angle.
     """
-    angle = joint_angle(prepared.recording)
-    if angle is None:
-        raise RecordingError(
-            f"{prepared.recording.name}: the recording has no angle channel, "
-            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
-        )
-    off = response.angle - angle
     error = simulated_torque(prepared, response) - prepared.drive_torque
-    return Sums(
+    return replace(
+        compare_angle(prepared.recording, response),
         torque_error=float(error @ error),
         torque=float(prepared.drive_torque @ prepared.drive_torque),
         torque_samples=len(error),
+    )
+
+
+def compare_angle(recording: Recording, response: Response) -> Sums:
+    """Return the sums of the angle alone of a simulated response against its recording.
+
+    Raises:
+        RecordingError: The recording has no angle.
+    """
+    angle = joint_angle(recording)
+    if angle is None:
+        raise RecordingError(
+            f"{recording.name}: the recording has no angle channel, "
+            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
+        )
+    off = response.angle - angle
+    return Sums(
         angle_error=float(off @ off),
         angle_samples=len(off),
         angle_absolute=float(np.sum(np.abs(off))),

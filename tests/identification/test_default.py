@@ -14,8 +14,9 @@ from identification.estimate import default
 from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.equation_error import averaging
 from identification.estimate.paper_method import identify_paper
-from identification.estimate.refinement import refine_recordings, refusal
+from identification.estimate.refinement import equation_noise, refine_recordings, refusal
 from identification.estimate.searches import refine_stages
+from identification.filter.likelihood import torque_noise
 from identification.filter.segments import motion
 from identification.prepare import evened, prepare, resting
 from identification.recording import Array, Bench, Dataset, Model, Recording, RecordingError
@@ -89,8 +90,25 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     result = identify(Dataset((recording,)))
     (warning,) = result.warnings
     assert "torque noise" in warning
+    # There is no joint fit, and no fit with correlated noise.
+    assert result.stages[-1].evaluations < 500
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
+
+
+def test_the_equation_error_shows_missing_physics_before_any_search(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    recording = beginning(practical_pair[0], FEWER_S)
+    noises = []
+    for made in (recording, with_ripple(recording, 1.0, 120.0)):
+        prepared = [prepare(made, 40.0)]
+        values = solve_stages(prepared, [], Model(), lambda _stage, _share: None)[0]
+        noises.append(equation_noise(prepared, values, 2.0))
+    scatter = torque_noise([m for m in [motion(recording)] if m is not None])
+    assert noises[0] < scatter
+    assert noises[1] > 2.0 * scatter
+    assert equation_noise([], {}, 2.0) == 0.0
 
 
 @pytest.mark.proof

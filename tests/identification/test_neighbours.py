@@ -117,3 +117,32 @@ def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(
     begun.clear()
     assert searches.solve_unloaded(begun_at(), [MC], [])[0].chi2 == 40.0
     assert set(begun) == {1.0}
+
+
+@pytest.mark.parametrize(("likeliest", "far"), [(1.0, []), (30.0, [30.0]), (0.3, [0.3])])
+def test_where_physics_is_missing_two_starts_are_followed_by_a_likelier_one_only(
+    monkeypatch: pytest.MonkeyPatch, likeliest: float, far: list[float]
+) -> None:
+    begun: list[float] = []
+    monkeypatch.setattr(searches, "_solved_from", recorded(begun, lambda inertia: (40.0, inertia)))
+    monkeypatch.setattr(searches, "breakaway_starts", lambda point, *_: [point] * 2)
+    monkeypatch.setattr(
+        searches, "_deviance", lambda point: abs(np.log(point.vector[INERTIA] / likeliest))
+    )
+    best, chi2s = searches.solve_unloaded(begun_at(), [MC], [INERTIA], lambda _point: True)
+    assert begun == pytest.approx([1.0, 0.8, *far])
+    assert (best.chi2, len(chi2s)) == (40.0, len(begun))
+
+
+def test_ends_with_an_accepted_noise_are_followed_by_all_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun: list[float] = []
+    monkeypatch.setattr(searches, "_solved_from", recorded(begun, lambda inertia: (40.0, inertia)))
+    monkeypatch.setattr(searches, "breakaway_starts", lambda point, *_: [point] * 2)
+    searches.solve_unloaded(begun_at(), [MC], [INERTIA])
+    every = list(begun)
+    begun.clear()
+    searches.solve_unloaded(begun_at(), [MC], [INERTIA], lambda _point: False)
+    assert begun == every
+    assert len(every) > 10

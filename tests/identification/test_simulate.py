@@ -138,7 +138,7 @@ def test_what_is_missing_is_named() -> None:
     with pytest.raises(RecordingError, match="supply_voltage"):
         inputs_of(recording(controller=duty, command=np.zeros(1001)))
     with pytest.raises(RecordingError, match=r"bench\.resistance"):
-        loop_of(duty, recording())
+        loop_of(duty, recording().bench, recording().name)
     with pytest.raises(RecordingError, match="inertia of 0"):
         body_of({"Mc": 1.0}, recording(), 2.0)
 
