@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from identification.diagnosis import diagnose as diagnosing
 from identification.diagnosis import held_out, judgement, reasons
 from identification.diagnosis import unexplained as unexplained_module
 from identification.diagnosis.comparison import Contender, Round
@@ -273,11 +275,18 @@ def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
     assert after == pytest.approx(sigma, rel=0.25)
 
 
-def test_what_one_recording_alone_shows_need_not_pay_on_another() -> None:
+@pytest.mark.parametrize("label_kg", [16.0, 20.0])
+def test_what_one_recording_alone_shows_need_not_pay_on_another(label_kg: float) -> None:
+    """The mass is 20 kg; with this label there is no effect."""
+    labelled = [replace(r, weight_mass=label_kg) if r.name == "r4" else r for r in hidden()]
+    joint = nominal_fit(labelled)
     weight = Added(TERM["wrong_weight"], (3.0,), (0.0,))
     assert weight.term.place is not None
-    found = validated_effects(search(RIGHT, weight), aside())
-    assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb", "wrong_weight"}
+    final = fit(joint.views, "N m", joint.nominal, (RIGHT, weight), joint)
+    rounds = tuple(Round(e.term.name, ()) for e in (RIGHT, weight))
+    found = validated_effects(Search(joint, final, rounds, 1e-3, 1.0, "", ()), aside())
+    wrong = {"wrong_weight"} if label_kg != 20.0 else set()
+    assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb"} | wrong
 
 
 def test_recordings_set_aside_reject_a_rival_that_fits_as_well() -> None:
@@ -418,3 +427,19 @@ def test_many_noise_floors_left_are_a_part_unless_nearly_all_is_explained(
 ) -> None:
     errors = Fit("torque", "N m", 25.0, before, after, 0.01, *unseen)
     assert reasons.floors_left(errors) == pytest.approx(left)
+
+
+@pytest.mark.parametrize(("after", "kind"), [(0.35, reasons.Kind.MUCH_LEFT), (0.012, None)])
+def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(
+    monkeypatch: pytest.MonkeyPatch, after: float, kind: reasons.Kind | None
+) -> None:
+    monkeypatch.setattr(diagnosing, "grown", lambda *_: False)
+    errors = Fit("torque", "N m", 25.0, 1.0, after, 0.01, 1.0, after)
+    shown: Any = SimpleNamespace(effects=(NAME,), main=errors, before=None, after=None)
+    assert diagnosing._doubt(shown, Judged(Verdict.NAMED, None, ())) is kind
+    if kind is not None:
+        reason = reasons.Reason(kind, found(1.0), (NAME,), left=reasons.floors_left(errors))
+        (text,) = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
+        assert "a part of the mismatch was found" in text
+        assert "asymmetric Coulomb" in text
+        assert "35.0 times the noise floor" in text
