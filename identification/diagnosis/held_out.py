@@ -262,8 +262,12 @@ def _contested_again(
     taken = rounds.pop(name, Round(name, ()))
     if rounds:
         again = [lost] if name not in case.dropped else []
+        still = [
+            replace(r, rivals=tuple(c for c in r.rivals if c.name not in case.dropped | {name}))
+            for r in rounds.values()
+        ]
         raw = case.baseline.again(without.nominal, without.effects)
-        raw, kept = with_best_rivals(case.baseline, raw, list(rounds.values()), again, steps)
+        raw, kept = with_best_rivals(case.baseline, raw, still, again, steps)
         rounds.clear()
         rounds.update({r.name: r for r in kept})
         without = within_limits(raw)
@@ -302,22 +306,23 @@ def _competitors(case: _Case, without: Joint, lost: Added, rivals: Sequence[Adde
     scored = best_of_each(
         [*trial_candidates(without.stack, context, alike)], {t.name: t for t in alike}
     )
-    entrants = {e.term.name: e for e in rivals}
-    by_name = {t.name: t for t in alike}
-    for c in scored[: RULES.finalists]:
-        added = Added(by_name[c.name], c.shape, tuple(c.coefficients.tolist()))
-        entrants.setdefault(c.name, added)
-    out = []
-    for name, added in entrants.items():
-        if name in case.dropped or any(e.term.name == name for e in without.effects):
-            continue
+    by_name, started = {t.name: t for t in alike}, {e.term.name: e for e in rivals}
+    entrants = {
+        c.name: started.get(c.name, Added(by_name[c.name], c.shape, tuple(c.coefficients.tolist())))
+        for c in scored
+    }
+    out, beside = [], {e.term.name for e in without.effects}
+    # An effect without a score has been a rival.
+    names = [n for n in (entrants | started) if n not in case.dropped | beside]
+    for name in names[: RULES.finalists]:
+        added = entrants.get(name) or started[name]
         tried = case.baseline.again(without.nominal, (*without.effects, added))
         if implausible(tried):
             continue
         tried = within_limits(tried)
         if undetermined_size(tried, len(tried.effects) - 1) is None:
             out.append(tried)
-    return sorted(out, key=lambda j: j.cost)[: RULES.finalists]
+    return sorted(out, key=lambda j: j.cost)
 
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
