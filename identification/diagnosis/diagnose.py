@@ -232,7 +232,9 @@ def _doubt(shown: _Shown, judged: Judged) -> Kind | None:
     if shown.effects:
         if grown(shown.after, shown.before, shown.main.equation):
             return Kind.NOT_BETTER
-        return Kind.MUCH_LEFT if floors_left(shown.main) > RULES.floors_left else None
+        # At instants the rows, less the rate of rise, have judged already.
+        much = floors_left(shown.main) > RULES.floors_left
+        return Kind.MUCH_LEFT if much and shown.main.equation not in AT_INSTANTS else None
     if judged.verdict is not Verdict.NOTHING_MISSING:
         return None
     torque = next((f for f in shown.fits if f.equation == "torque"), None)

@@ -79,8 +79,11 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     if found.p_value > RULES.level:
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     least = RULES.tested_from if found.final.effects else RULES.excess
-    # Effects that appear at instants alone were tested by the equation of these instants.
-    own = {n for e in found.final.effects for n in judging_equations(found.final, e.term)}
+    # Effects that appear at instants alone are judged by the equation of these instants, which has
+    # outliers: they must explain it.
+    acting = {n for e in found.final.effects for n in judging_equations(found.final, e.term)}
+    explained = [e.equation for e in excess_of(found) if e.explained >= RULES.adequate]
+    own = acting & {*explained}
     if not _any_beyond_noise(found.baseline, least, own):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     reason = reason_outside(found, searched or found)
