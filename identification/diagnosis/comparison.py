@@ -54,13 +54,23 @@ class Contender:
     preference: float
     beyond: str
 
+    @property
+    def effect(self) -> Added:
+        """The rival as it was fitted."""
+        return next(e for e in self.joint.effects if e.term.name == self.name)
+
 
 @dataclass(frozen=True)
 class Round:
-    """A selected effect and its rivals, best first."""
+    """A selected effect and its rivals, best first.
+
+    ``unconfirmed`` states that unused recordings selected the effect. They are used up thereby, so
+    that no recording is left that confirms it.
+    """
 
     name: str
     rivals: tuple[Contender, ...]
+    unconfirmed: bool = False
 
 
 def preference(chosen: Joint, rival: Joint) -> float:
@@ -121,8 +131,8 @@ def probability(preferred: float) -> float:
 def implausible(joint: Joint) -> str:
     """Return the reason why a fit is implausible for a bench; empty if it is plausible.
 
-    The reason is a parameter of the last effect outside its range in the catalogue, scaled to this
-    bench, or an infeasible fit (:func:`infeasible`), for example a fit whose static friction would
+    The reason is a parameter of an effect outside its range in the catalogue, scaled to this bench,
+    or an infeasible fit (:func:`infeasible`), for example a fit whose static friction would
     be below Coulomb friction.
     """
     for effect in joint.effects:
@@ -130,11 +140,15 @@ def implausible(joint: Joint) -> str:
             return why
     if infeasible(joint):
         return "nominal parameters outside their physical limits"
-    last = joint.effects[-1]
+    return next(filter(None, (_beyond_range(joint, e) for e in reversed(joint.effects))), "")
+
+
+def _beyond_range(joint: Joint, effect: Added) -> str:
+    """Return the first parameter of an effect outside its range, with the range, or nothing."""
     views = joint.views
-    found = last.parameters(Context(views, joint.nominal))
+    found = effect.parameters(Context(views, joint.nominal))
     motion = views[0].recording.bench.motion
-    for q in last.term.parameters:
+    for q in effect.term.parameters:
         scale = 1.0 if q.dimension in UNSCALED else _scale(q.dimension, views, joint.nominal)
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)

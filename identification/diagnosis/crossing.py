@@ -161,7 +161,7 @@ def gap_or_loop(
         )
     steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
     out = [
-        Round(name, (rival, *(r for r in taken.rivals if r.name not in both)))
+        Round(name, (rival, *(r for r in taken.rivals if r.name not in both)), taken.unconfirmed)
         if taken.name == own.term.name
         else taken
         for taken in rounds

@@ -29,7 +29,7 @@ from identification.diagnosis.judgement import (
     without_unlogged,
 )
 from identification.diagnosis.observable import Observable, collinear_effects, observable
-from identification.diagnosis.reasons import Kind, Reason, explains_nearly_all
+from identification.diagnosis.reasons import Kind, Reason, explains_nearly_all, floors_left
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -119,7 +119,7 @@ def diagnose(
     if (doubt := _doubt(shown, judged)) is not None:
         where = judged.where or place_of(found, judged.maps)
         names = tuple(e.name for e in effects)
-        why_not = Reason(doubt, found, names)
+        why_not = Reason(doubt, found, names, left=floors_left(shown.main))
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
         shown = _shown(whole, judged, ())
     verdict, where, drawn, reason = judged
@@ -233,10 +233,14 @@ def _doubt(shown: _Shown, judged: Judged) -> Kind | None:
 
     *Nothing is missing* requires that the nominal model explains the torque, down to about the
     noise floor. Identified effects require that the corrected model does not increase the error, of
-    unused recordings where there are some.
+    unused recordings where there are some, and that it leaves little more than the noise.
     """
     if shown.effects:
-        return Kind.NOT_BETTER if grown(shown.after, shown.before, shown.main.equation) else None
+        if grown(shown.after, shown.before, shown.main.equation):
+            return Kind.NOT_BETTER
+        # At instants the rows, less the rate of rise, have judged already.
+        much = floors_left(shown.main) > RULES.floors_left
+        return Kind.MUCH_LEFT if much and shown.main.equation not in AT_INSTANTS else None
     if judged.verdict is not Verdict.NOTHING_MISSING:
         return None
     torque = next((f for f in shown.fits if f.equation == "torque"), None)
@@ -320,7 +324,7 @@ def judge(
         report: Called with the name of the step and the share of the step that is done.
     """
     report("validating effects on unused recordings", 0.92)
-    found = validated_effects(searched, aside)
+    found = validated_effects(searched, aside, terms)
     report("locating", 0.95)
     judged = verdict_of(found, rng, searched)
     if judged.verdict in IDENTIFIED:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
 from identification.diagnosis.comparison import (
     Contender,
@@ -24,10 +25,16 @@ from identification.diagnosis.comparison import (
 from identification.diagnosis.crossing import distinguished_by_crossings
 from identification.diagnosis.joint import Joint, nominal_after_effects, undetermined_size
 from identification.diagnosis.linear import Added, effect_derivatives
-from identification.diagnosis.removal import LEAST_FURTHER, judging_equations
+from identification.diagnosis.removal import (
+    LEAST_FURTHER,
+    judging_equations,
+    share_equation,
+    with_best_rivals,
+)
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.search import Search
+from identification.diagnosis.search import Search, best_of_each
+from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Stack, with_effect_basis
 from identification.diagnosis.within_limits import (
     cross_validation_residual,
@@ -169,42 +176,30 @@ recordings, or because the recordings do not determine its size.
 """
 
 
-def validated_effects(found: Search, aside: Sequence[View]) -> Search:
+def validated_effects(found: Search, aside: Sequence[View], terms: Sequence[Effect] = ()) -> Search:
     """Return a search with fits within their limits, and without effects that do not reduce the
-    error on unused recordings significantly.
+    error on unused recordings significantly, or whose size may be that without the effect.
 
-    Of the effects that fail this test, the effect that reduces the error least is dropped first,
-    and the other effects are fitted again. The first rival of a dropped effect that reduces the
-    error significantly replaces the dropped effect. Then, if several effects remain, every effect
-    except the one that was selected first is dropped if the interval of its size contains zero.
-    Finally, the errors on recordings set aside decide between each remaining effect and its rivals.
+    Of the effects that fail the first test, the effect that reduces the error least is dropped
+    first; then an effect is dropped if the interval of its size contains the value without the
+    effect. After each drop all effects are compared again with their rivals and with those that now
+    score best (:func:`_contested_again`). Finally, the errors on recordings set aside decide
+    between each remaining effect and its rivals.
 
     Args:
         found: The search.
         aside: Recordings that are set aside.
+        terms: Effects that were searched for.
     """
     baseline = within_limits(found.baseline)
-    case = _Case(aside, baseline)
+    case = _Case(aside, baseline, tuple(terms), set())
     joint = within_limits(found.final)
     rounds, steps = {r.name: r for r in found.rounds}, list(found.steps)
-    while True:
-        trials = [
-            (_error_reduction(case, joint, without, effect), effect.term.name, without)
-            for effect in joint.effects
-            if effect.term.place is None
-            for without in [_fit_without(case, joint, effect)]
-        ]
-        worth, name, without = min(trials, key=lambda t: t[0], default=(math.inf, "", baseline))
-        if worth >= RULES.rejected:
-            dropped = _without_undetermined(case, joint, rounds, steps)
-            if dropped is None:
-                break
-            joint = dropped
-            continue
-        steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
-        joint, taken = without, rounds.pop(name, None)
-        if taken is not None:
-            joint = _with_replacing_rival(case, joint, taken, rounds, steps)
+    while joint.effects:
+        dropped = _least_useful(case, joint, steps) or _undetermined(case, joint, steps)
+        if dropped is None:
+            break
+        joint = _contested_again(case, joint, *dropped, rounds, steps)
     judged = []
     for kept in rounds.values():
         joint, now = _with_rivals_judged(case, joint, kept, steps)
@@ -219,41 +214,115 @@ def validated_effects(found: Search, aside: Sequence[View]) -> Search:
     )
 
 
-def _with_replacing_rival(
-    case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
-) -> Joint:
-    """Return the fit with the first rival of a dropped effect that reduces the error, if any."""
-    for rival in taken.rivals:
-        tried = _fit_with_rival(case, joint, rival)
-        if tried is None:
-            continue
-        # An effect that occurs in one recording only cannot be tested on other recordings.
-        alone = tried.effects[-1].term.place is not None
-        worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
-        if worth >= RULES.rejected:
-            steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case, alone))
-            rounds[rival.name] = Round(rival.name, ())
-            return tried
-    return joint
+def _least_useful(case: _Case, joint: Joint, steps: list[Step]) -> tuple[Added, Joint] | None:
+    """Return the effect that reduces the error on unused recordings least, and the fit without it,
+    or None if every effect reduces this error significantly.
+    """
+    trials = [
+        (_error_reduction(case, joint, without, effect), effect, without)
+        for effect in joint.effects
+        if effect.term.place is None
+        for without in [_fit_without(case, joint, effect)]
+    ]
+    if not trials or min(t[0] for t in trials) >= RULES.rejected:
+        return None
+    worth, effect, without = min(trials, key=lambda t: t[0])
+    steps.append(_step(DROPPED, effect.term.name, without.cost - joint.cost, worth, case))
+    return effect, without
 
 
-def _without_undetermined(
-    case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
-) -> Joint | None:
-    """Return the fit without a later effect whose size may be zero, or None if there is none."""
-    for k, effect in enumerate(joint.effects):
-        name = effect.term.name
-        first = name == next(iter(rounds), name)
-        found = None if first else undetermined_size(joint, k)
-        if found is None:
-            continue
-        parameter, size = found
-        without = _fit_without(case, joint, effect)
-        note = f"the 90 % interval of {parameter}, {size.low:.3g} to {size.high:.3g}, contains zero"
-        steps.append(Step(DROPPED, name, None, without.cost - joint.cost, note))
-        rounds.pop(name, None)
-        return without
+def _undetermined(case: _Case, joint: Joint, steps: list[Step]) -> tuple[Added, Joint] | None:
+    """Return the last effect whose size may be that without the effect, and the fit without it."""
+    for k, effect in reversed([*enumerate(joint.effects)]):
+        note = undetermined_size(joint, k)
+        if note is not None:
+            without = _fit_without(case, joint, effect)
+            gain = without.cost - joint.cost
+            steps.append(Step(DROPPED, effect.term.name, None, gain, note))
+            return effect, without
     return None
+
+
+def _contested_again(
+    case: _Case,
+    joint: Joint,
+    lost: Added,
+    without: Joint,
+    rounds: dict[str, Round],
+    steps: list[Step],
+) -> Joint:
+    """Return the fit after all names competed again, because the effect ``lost`` was dropped.
+
+    The other effects were selected beside the dropped effect: each is compared with its rivals
+    again, and the dropped effect is a rival once. Then the rivals of the dropped effect and the
+    effects that now score best compete for its place. The best that reduces the error on unused
+    recordings takes it; the level of this test accounts for the number of competitors.
+    """
+    name = lost.term.name
+    taken = rounds.pop(name, Round(name, ()))
+    if rounds:
+        again = [lost] if name not in case.dropped else []
+        still = [
+            replace(r, rivals=tuple(c for c in r.rivals if c.name not in case.dropped | {name}))
+            for r in rounds.values()
+        ]
+        raw = case.baseline.again(without.nominal, without.effects)
+        raw, kept = with_best_rivals(case.baseline, raw, still, again, steps)
+        rounds.clear()
+        rounds.update({r.name: r for r in kept})
+        without = within_limits(raw)
+    case.dropped.add(name)
+    fitted = _competitors(case, without, lost, [r.effect for r in taken.rivals])
+    needed = float(stats.norm.isf(stats.norm.sf(RULES.rejected) / max(len(fitted), 1)))
+    for tried in fitted:
+        own = tried.effects[-1]
+        # No other recording can test an effect of one recording; other parts of it can.
+        judges = case if own.term.place is None else case._replace(aside=())
+        worth = _error_reduction(judges, tried, without, own)
+        if worth >= needed:
+            entered = own.term.name
+            steps.append(_step("swap", entered, without.cost - tried.cost, worth, judges))
+            others = {name: joint, **{j.effects[-1].term.name: j for j in fitted}}
+            rounds[entered] = Round(
+                entered,
+                tuple(
+                    Contender(n, j, preference(tried, j), "")
+                    for n, j in others.items()
+                    if n != entered and any(e.term.name == n for e in j.effects)
+                ),
+                unconfirmed=True,
+            )
+            return tried
+    return without
+
+
+def _competitors(case: _Case, without: Joint, lost: Added, rivals: Sequence[Added]) -> list[Joint]:
+    """Return the fits with one more effect in place of the dropped effect, best first: of the
+    rivals and of the effects that score best, if their parameters are plausible and their sizes
+    determined.
+    """
+    context = Context(without.views, without.nominal)
+    alike = [t for t in case.terms if share_equation(t, lost.term)]
+    scored = best_of_each(
+        [*trial_candidates(without.stack, context, alike)], {t.name: t for t in alike}
+    )
+    by_name, started = {t.name: t for t in alike}, {e.term.name: e for e in rivals}
+    entrants = {
+        c.name: started.get(c.name, Added(by_name[c.name], c.shape, tuple(c.coefficients.tolist())))
+        for c in scored
+    }
+    out, beside = [], {e.term.name for e in without.effects}
+    # An effect without a score has been a rival.
+    names = [n for n in (entrants | started) if n not in case.dropped | beside]
+    for name in names[: RULES.finalists]:
+        added = entrants.get(name) or started[name]
+        tried = case.baseline.again(without.nominal, (*without.effects, added))
+        if implausible(tried):
+            continue
+        tried = within_limits(tried)
+        if undetermined_size(tried, len(tried.effects) - 1) is None:
+            out.append(tried)
+    return sorted(out, key=lambda j: j.cost)
 
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
@@ -306,7 +375,9 @@ def _with_rivals_judged(
             if worse >= RULES.rejected:
                 rival = replace(rival, preference=max(rival.preference, worse))
             elif worse <= -RULES.rejected:
-                if rival.preference < RULES.rejected and not rival.beyond:
+                place = [e.term.name for e in tried.effects].index(rival.name)
+                open_ = rival.preference < RULES.rejected and not rival.beyond
+                if open_ and undetermined_size(tried, place) is None:
                     better.append((worse, rival, tried))
                 else:
                     rival = replace(rival, preference=min(rival.preference, 0.0))
@@ -320,7 +391,7 @@ def _with_rivals_judged(
     others = (
         replace(r, preference=preference(tried, r.joint)) for r in rivals if r.name != rival.name
     )
-    return tried, Round(rival.name, (former, *others))
+    return tried, Round(rival.name, (former, *others), unconfirmed=True)
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:
@@ -361,18 +432,17 @@ def dropped_effects(found: Search) -> tuple[str, ...]:
 
 
 class _Case(NamedTuple):
-    """Recordings set aside, and the fit of the nominal model within its limits."""
+    """Recordings set aside, the fit of the nominal model within its limits, the effects that were
+    searched for, and the names of dropped effects.
+    """
 
     aside: Sequence[View]
     baseline: Joint
+    terms: tuple[Effect, ...]
+    dropped: set[str]
 
 
-def _step(
-    action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
-) -> Step:
-    if alone:
-        note = "the effect occurs in one recording only, so that no other recording can test it"
-        return Step(action, name, None, gain, note)
+def _step(action: str, name: str, gain: float, worth: float, case: _Case) -> Step:
     judges = "recordings set aside" if case.aside else "parts predicted from the other parts"
     if math.isinf(worth):
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
@@ -382,19 +452,6 @@ def _step(
         least = f"{RULES.rejected:.2f} standard errors"
         note += f", and an identified effect must reduce this error by at least {least}"
     return Step(action, name, None, gain, note)
-
-
-def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
-    """Return the fit with a rival added to the accepted effects, or None if it is implausible."""
-    added = rival.joint.effects[-1]
-    if (
-        rival.beyond
-        or rival.preference >= RULES.rejected
-        or any(e.term.name == rival.name for e in joint.effects)
-    ):
-        return None
-    tried = case.baseline.again(joint.nominal, (*joint.effects, added))
-    return None if implausible(tried) else within_limits(tried)
 
 
 def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
@@ -499,7 +556,7 @@ def _with_indistinct_rivals(
         for r in taken.rivals
     ]
     rivals += [Contender(name, final, 0.0, "") for name in alike if name not in tested]
-    return Round(taken.name, tuple(rivals))
+    return replace(taken, rivals=tuple(rivals))
 
 
 def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> list[str]:

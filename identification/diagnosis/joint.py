@@ -478,30 +478,28 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
             for name, s in slopes.items()
         }
         out.append(
-            {name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()}
+            {
+                name: Estimate(v, max(v - half[name], low), min(v + half[name], high), "")
+                for name, v in values.items()
+                for low, high in [effect.term.physical_range(name)]
+            }
         )
     return tuple(out)
 
 
-def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
-    """Return name and estimate of a size of effect ``k`` whose interval contains zero, or None if
-    there is no such size.
-
-    Sizes are the parameters that are proportional to a coefficient of the effect, or to the
-    reciprocal of a coefficient, such as a stiffness.
+def undetermined_size(joint: Joint, k: int) -> str | None:
+    """Return a text on a size of effect ``k`` whose interval contains the value without the effect
+    (:meth:`~identification.effects.effect.Effect.absent`), or None if there is no such size.
     """
     effect, sizes = joint.effects[k], estimates(joint)[k]
-    if effect.term.size is not None:
-        return None
     context = Context(joint.views, joint.nominal)
-    twice = effect.term.read(2.0 * np.array(effect.coefficients), effect.shape, context)
-    for name, size in sizes.items():
-        # The mass of a wrong weight and an efficiency change with the coefficient too, but are not
-        # zero without the effect.
-        ratio = twice[name] / size.value if size.value else 1.0
-        sized = math.isclose(ratio, 2.0) or math.isclose(ratio, 0.5)
-        if sized and size.low <= 0.0 <= size.high:
-            return name, size
+    nothing = effect.term.absent(np.array(effect.coefficients), effect.shape, context)
+    for name, none in nothing.items():
+        low, high = sizes[name].low, sizes[name].high
+        # An interval that is not a number determines nothing either.
+        if not (low > none or high < none):
+            without = f"{none:.3g}, its value without the effect" if none else "zero"
+            return f"the 90 % interval of {name}, {low:.3g} to {high:.3g}, contains {without}"
     return None
 
 

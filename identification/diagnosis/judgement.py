@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from identification.diagnosis.comparison import Contender, Round, probability
 from identification.diagnosis.joint import Joint, contribution, estimates, without_effect
 from identification.diagnosis.locate import best_map, location, maps
 from identification.diagnosis.reasons import Excess, Kind, Reason, excess_of, reason_outside
+from identification.diagnosis.removal import judging_equations
 from identification.diagnosis.result import (
     Estimate,
     IdentifiedEffect,
@@ -78,7 +79,12 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     if found.p_value > RULES.level:
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     least = RULES.tested_from if found.final.effects else RULES.excess
-    if not _any_beyond_noise(found.baseline, least):
+    # Effects that appear at instants alone are judged by the equation of these instants, which has
+    # outliers: they must explain it.
+    acting = {n for e in found.final.effects for n in judging_equations(found.final, e.term)}
+    explained = [e.equation for e in excess_of(found) if e.explained >= RULES.adequate]
+    own = acting & {*explained}
+    if not _any_beyond_noise(found.baseline, least, own):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     reason = reason_outside(found, searched or found)
     if reason is not None:
@@ -109,24 +115,27 @@ def without_unlogged(judged: Judged, found: Search) -> Judged:
     """
     if judged.verdict is not Verdict.OUTSIDE_CATALOGUE:
         return judged
-    if _any_beyond_noise(found.baseline, RULES.excess, True):
+    if _any_beyond_noise(found.baseline, RULES.excess, between=True):
         return judged
     return Judged(Verdict.NOTHING_MISSING, None, judged.maps, Reason(Kind.BETWEEN_SAMPLES, found))
 
 
-def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool:
-    """Whether the mismatch of the nominal model exceeds the noise in any equation except the
-    breakaway equation.
+def _any_beyond_noise(
+    joint: Joint, least: float, own: Collection[str] = (), between: bool = False
+) -> bool:
+    """Whether the mismatch of the nominal model exceeds the noise in any equation that judges
+    models.
 
     Args:
         joint: Fit of the nominal model.
         least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
             noise.
+        own: Names of further equations, by which an accepted effect is judged.
         between: Whether a mismatch that voltages and currents between the samples may cause counts
             as noise. A mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
     """
     for equation in joint.equations:
-        if not equation.judges:
+        if not equation.judges and equation.name not in own:
             continue
         rows = over_own_noise(joint, equation)
         if between and equation.name == "voltage":
@@ -232,7 +241,7 @@ def _effect(
     shown = [e for e in found.baseline.equations if e.name in found.final.effects[k].term.columns]
     own = max(shown, key=lambda e: excess[e.name].before * len(e.residual))
     rows = stack.part(own.name)
-    where = _location_of(found, k, shown, rng)
+    where, over_speed = _location_of(found, k, shown, rng)
     open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
@@ -241,6 +250,8 @@ def _effect(
     needed = excess[own.name].before if alone else without
     incomplete = found.p_after <= RULES.level or little_unseen(found)
     confidence = confidence_of(taken, quality, incomplete, needed, alone)
+    if over_speed or not entry.shows_a_period(found.baseline.views):
+        confidence = min(confidence, RULES.undecided_confidence)
     rivals = tuple(
         Rival(
             r.name,
@@ -272,8 +283,11 @@ def _location_of(
     k: int,
     shown: Sequence[Equation],
     rng: np.random.Generator,
-) -> Location:
-    """Return the location of effect ``k``, which has regressors in the equations ``shown``."""
+) -> tuple[Location, bool]:
+    """Return the location of effect ``k``, which has regressors in the equations ``shown``, and
+    whether it is friction at a place that a function of speed or load explains as well: in some
+    motions, such as one sine, place and speed are one thing.
+    """
     effect, missing, left = found.final.effects[k], found.baseline.stack, found.baseline.residual
     if len(found.final.effects) > 1:
         missing = without_effect(found.final, k)
@@ -284,11 +298,16 @@ def _location_of(
     stated = effect.term.coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)
+    share = {m.coordinate: m.share for m in drawn}
+    placed = any(m.coordinate == stated == "angle" and m.against_motion for m in drawn)
+    as_well = max(share.get("speed", 0.0), share.get("load", 0.0)) >= RULES.alike * share.get(
+        stated, 0.0
+    )
     if effect.term.place is None:
-        return where
+        return where, placed and as_well
     index = round(effect.shape[effect.term.place])
     names = {v.index: v.recording.name for v in main.views}
-    return replace(where, recordings=(names[index],))
+    return replace(where, recordings=(names[index],)), False
 
 
 def little_unseen(found: Search) -> bool:
@@ -326,6 +345,8 @@ def confidence_of(
         if before < FAINT_RATIO
         else RULES.greatest_confidence
     )
+    if taken.unconfirmed:
+        most = min(most, RULES.undecided_confidence)
     return min(most, min([RULES.greatest_confidence, *over]) * (0.5 + 0.5 * quality))
 
 

@@ -11,6 +11,7 @@ from enum import Enum
 import numpy as np
 
 from identification.diagnosis.joint import Joint
+from identification.diagnosis.result import Fit
 from identification.diagnosis.rows import AT_INSTANTS, families
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
@@ -222,6 +223,7 @@ class Kind(Enum):
     TOO_LITTLE = "the effects explain too little of the mismatch"
     BETWEEN_SAMPLES = "values between the samples may cause the mismatch"
     REVERSALS = "the remaining mismatch depends on travel or time since each reversal"
+    MUCH_LEFT = "the effects leave far more than the noise"
     NOT_BETTER = "the corrected model does not lower the error"
     MISFIT = "the nominal model does not describe the recordings"
 
@@ -236,12 +238,15 @@ class Reason:
         search: The search whose effects the reason concerns.
         effects: Names of the effects; empty if no effect was accepted.
         needed: Share of the mismatch beyond the noise that the effects must explain.
+        left: Greatest ratio of the error with the effects to the noise floor, of fitted and of
+            unused recordings.
     """
 
     kind: Kind
     search: Search
     effects: tuple[str, ...] = ()
     needed: float = RULES.adequate
+    left: float = 0.0
 
 
 def reason_outside(found: Search, searched: Search) -> Reason | None:
@@ -273,6 +278,29 @@ def reason_outside(found: Search, searched: Search) -> Reason | None:
     if hysteretic_remainder(searched):
         return Reason(Kind.REVERSALS, searched, before)
     return None
+
+
+def floors_left(fit: Fit) -> float:
+    """Return the greatest ratio of the error with the effects to the noise floor, of fitted and of
+    unused recordings in which the effects explain less than right effects would
+    (`nearly_complete`); 0 if there are no such recordings.
+
+    An effect with an approximate regressor leaves a small share of a mismatch, which may be many
+    times the noise.
+    """
+    floor = fit.noise_floor_rms
+    pairs = (
+        (fit.baseline_rms, fit.final_rms),
+        (fit.validate_baseline_rms, fit.validate_final_rms),
+    )
+    ratios = [
+        after / floor
+        for before, after in pairs
+        if before is not None
+        and after is not None
+        and after**2 - floor**2 > (1.0 - RULES.nearly_complete) * (before**2 - floor**2)
+    ]
+    return max(ratios, default=0.0)
 
 
 def _names(found: Search) -> tuple[str, ...]:

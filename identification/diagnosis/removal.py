@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from scipy import stats
 
@@ -32,6 +33,8 @@ LEAST_FURTHER = RULES.shape_errors * ROUGH
 """Gain of an effect, relative to the gain of another effect, below which the first gain may be due
 to an error of the other effect's regressors.
 """
+MOST_CONTESTS = 3
+"""Greatest number of times that all effects are compared with their rivals in turn."""
 SIGNIFICANT = float(stats.norm.isf(0.01))
 """Least preference, in standard errors, for an effect without which no mismatch beyond the noise
 remains. The gain of the effect must then also be `shape_errors` times the error of the regressors
@@ -142,15 +145,32 @@ def with_best_rivals(
     dropped: Sequence[Added],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Compare every effect with its rivals again, with all other effects in the model; return the
-    fit and the selection rounds.
+    """Compare every effect with its rivals again, with all other effects in the model, until no
+    rival takes the place of an effect; return the fit and the selection rounds.
 
-    Removed effects are rivals of all kept effects that appear in the same equation.
+    Removed effects are rivals of all kept effects that appear in the same equation, and so is an
+    effect that was replaced.
     """
+    for _ in range(MOST_CONTESTS):
+        names = [r.name for r in rounds]
+        joint, rounds = _contested_once(baseline, joint, rounds, dropped, steps)
+        if [r.name for r in rounds] == names:
+            break
+    return joint, rounds
+
+
+def _contested_once(
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    dropped: Sequence[Added],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Compare every effect with its rivals once."""
     for place, taken in enumerate(rounds):
         others = tuple(e for e in joint.effects if e.term.name != taken.name)
         own = next(e for e in joint.effects if e.term.name == taken.name)
-        tried = {e.term.name: e for e in (*(r.joint.effects[-1] for r in taken.rivals), *dropped)}
+        tried = {e.term.name: e for e in (*(r.effect for r in taken.rivals), *dropped)}
         trials = [(own, joint)]
         for name, added in tried.items():
             if (
@@ -176,7 +196,8 @@ def with_best_rivals(
             if e is not chosen and not infeasible(j) and not contains(e, j, chosen, best)
         )
         joint = best
-        rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
+        kept = replace(taken, rivals=rivals) if chosen is own else Round(chosen.term.name, rivals)
+        rounds = [*rounds[:place], kept, *rounds[place + 1 :]]
     return joint, rounds
 
 

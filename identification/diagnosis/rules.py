@@ -117,6 +117,8 @@ class SelectionRules:
             on three simulators 22 of 33 such effects were right (48 to 82 %).
         faint_confidence: Greatest confidence in an effect whose mismatch is faint. Basis: another
             effect may cause a tenth of the mismatch (docs/measurements.md).
+        undecided_confidence: Greatest confidence in an effect that recordings set aside selected,
+            or that is not separated from a function of speed or load. Basis: an even chance.
         implausible_confidence: Confidence in a rival that fits as well, but with a parameter
             outside its plausible range. Basis: the one-sided level of 5 % of `rejected`.
         own_coordinate: Ratio of the share of the mismatch that the catalogue's coordinate of an
@@ -130,6 +132,9 @@ class SelectionRules:
             machine.
         floors: Ratio of the error to the noise floor up to which nothing is missing. Basis: as
             `excess`, of an amplitude.
+        floors_left: Ratio of the error to the noise floor from which a model leaves physics
+            unexplained if its effects explain less than `nearly_complete`. Basis: eight ninths of
+            such an error's power are no noise.
         recording: Ratio of a recording's mean-square mismatch to that of the noise, from which the
             mismatch is present in the recording. Basis: equal to `excess_of_one`.
         alike: Share of an effect's regressor that another effect explains, from which the two are
@@ -175,11 +180,13 @@ class SelectionRules:
     greatest_confidence: float = 0.99
     incomplete_confidence: float = 0.7
     faint_confidence: float = 0.9
+    undecided_confidence: float = 0.5
     implausible_confidence: float = 0.05
     own_coordinate: float = 0.8
     least_curve_gain: float = 0.05
     explained: float = 0.5
     floors: float = 1.5
+    floors_left: float = 3.0
     recording: float = 2.0
     alike: float = 0.9
     alike_shapes: float = 0.5

@@ -88,6 +88,13 @@ def unexplained(
         rng: Random generator for the bands of the maps.
     """
     outside = () if reason is None else _reason_texts(reason, rng)
+    fitted = " and ".join(title(e.term.name) for e in found.final.effects)
+    within = (
+        f"{fitted} fits the recordings better but is not identified: the mismatch of the nominal "
+        "model is within the noise"
+    )
+    if verdict is Verdict.NOTHING_MISSING and fitted:
+        outside = (*outside, within)
     return (*outside, *unexplained_equations(found, verdict))
 
 
@@ -127,6 +134,12 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
         )
     share = 100.0 * judged_equation(reason.search).explained
     words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
+    if reason.kind is Kind.MUCH_LEFT:
+        return (
+            f"a part of the mismatch was found, {share:.0f} % of it beyond the noise in the fitted "
+            f"recordings: {words}; but with it an error of {reason.left:.1f} times the noise floor "
+            "is left, so that another effect is missing or this effect has another form",
+        )
     if reason.kind is Kind.REVERSALS:
         return (
             f"{share:.0f} % of the mismatch beyond the noise would be explained if {words}; but "

@@ -269,6 +269,9 @@ class LoadExponent(Effect):
     shape_error = CLOSE
     nonlinear = ("exponent",)
 
+    def absent(self, c: Array, shape: Shape, context: Context) -> Mapping[str, float]:
+        return {"exponent": 1.0}
+
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
         arm = view.recording.bench.moment_arm or 1.0
@@ -413,7 +416,6 @@ class LoadInertia(Effect):
         grows with the square of the frequency and with the weight is due to inertia."""
     separation = Separation.LOADS_AND_SPEEDS
     sentence = "each 30.6 kg hung on the lever adds {inertia_kgm2:kg m^2} of inertia"
-    positive = (0,)
     shape_error = EXACT
     shown_by = staticmethod(lambda view: view.recording.weight_mass > 0.0)
 
@@ -435,7 +437,6 @@ class LeverPivotFriction(Effect):
         friction over mass, extended to zero mass, gives the friction of the pivot."""
     separation = Separation.LOADS
     sentence = "the lever's own pivot adds {torque_Nm:N m} of friction, the same for every weight"
-    positive = (0,)
     shape_error = CLOSE
 
     @staticmethod
@@ -459,7 +460,6 @@ class LoadDependentFriction(Effect):
         that grows with the load is the same in both directions, the loss of a gear is not."""
     separation = Separation.LOADS
     sentence = "friction grows by {coefficient:%} of the load's torque"
-    positive = (0,)
     follows = True
     fitted_by_estimators = True
 

@@ -36,6 +36,8 @@ other effects had at most 1 to 13 millionths of the gain of the effect in its st
 nothing above 1 % of the noise; in ``CLOSE`` up to 15 millionths, or more in one draw only; in
 ``ROUGH`` more.
 """
+NEARLY_NONE = 1e-9
+"""Factor on the coefficients of an effect with which the effect is practically absent."""
 WORDS = frozenset({"equation", "implied", "assumption", "coordinate", "experiment", "sentence"})
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
@@ -216,7 +218,8 @@ class Effect:
         forms: Index of a nonlinear parameter that selects the form of the effect to the values of
             this parameter, the usual form first.
         positive: Indices of coefficients that must be positive to be physical; a fixed coefficient
-            is.
+            is, and the coefficient of :attr:`linear` is if its range has no negative values. An
+            effect states them only if its coefficients are not parameters of the catalogue.
         simulated: Whether the response is simulated, and not linear in the size.
         scale: Size from which the fit of an effect without a score starts.
         one_sided: Whether an effect of the opposite sign is one outside the catalogue.
@@ -287,8 +290,12 @@ class Effect:
             cls.assumption = f"the implied assumption that {cls.implied}"
         if cls.size is not None:
             cls.positive = (0,)
-        elif "parameters" in own and cls.read is Effect.read and not cls.polar:
-            (cls.linear,) = (q.name for q in cls.parameters if q.name not in cls.nonlinear)
+        elif "parameters" in own:
+            if cls.read is Effect.read and not cls.polar:
+                (cls.linear,) = (q.name for q in cls.parameters if q.name not in cls.nonlinear)
+            if cls.linear and not cls.one_sided:
+                least = next(q.low for q in cls.parameters if q.name == cls.linear)
+                cls.positive = (0,) if least >= 0.0 else ()
 
     def modified(self, **changes: Any) -> Self:
         """Return the effect with other attributes."""
@@ -315,6 +322,33 @@ class Effect:
     def physical(self, shape: Shape) -> bool:
         """Whether nonlinear parameters are within their limits."""
         return all(low <= shape[k] <= high for k, (low, high) in self.limits.items())
+
+    def physical_range(self, name: str) -> tuple[float, float]:
+        """Return the limits of a parameter of the catalogue that is a nonlinear parameter with
+        limits; infinite for other parameters.
+        """
+        index = self.nonlinear.index(name) if name in self.nonlinear else -1
+        return self.limits.get(index, (-math.inf, math.inf))
+
+    def absent(self, c: Array, shape: Shape, context: Context) -> Mapping[str, float]:
+        """Return the parameters of the catalogue that are sizes of the effect, with their values
+        without the effect. A size that is infinite without the effect, such as a stiffness, counts
+        as zero: an interval that contains zero is as wide as the value.
+
+        Args:
+            c: Fitted coefficients.
+            shape: Fitted nonlinear parameters.
+            context: Recordings and nominal model.
+        """
+        if self.size is not None:
+            sizes = [n for k, n in enumerate(self.nonlinear) if k in self.refine]
+            return {n: 0.0 for n in sizes if isinstance(n, str)}
+        here, twice, none = (self.read(k * c, shape, context) for k in (1.0, 2.0, NEARLY_NONE))
+        return {
+            name: none[name] if 1e-6 < abs(none[name] / value) < 1e6 else 0.0
+            for name, value in here.items()
+            if value != 0.0 and not math.isclose(twice[name], value)
+        }
 
     def shapes(self, context: Context) -> Sequence[Shape]:
         """Return the trial values of the nonlinear parameters; empty if these recordings cannot
@@ -357,6 +391,10 @@ class Effect:
     def impossible(self, _coefficients: tuple[float, ...], _nominal: Nominal) -> str:
         """Return why no machine has these coefficients at these values; empty if one may."""
         return ""
+
+    def shows_a_period(self, _views: Sequence[View]) -> bool:
+        """Whether the travel of a recording contains a period of an effect that is periodic."""
+        return True
 
     def indistinct(
         self, _parameters: Mapping[str, float], _views: Sequence[View]

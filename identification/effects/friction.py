@@ -20,13 +20,14 @@ from identification.effects.effect import (
     Quantity,
     Separation,
     Shape,
+    everywhere,
     rows,
 )
 from identification.numerics.series import dahl, first_order_lag, play
 from identification.recording import Array
 from identification.signals import central_difference
 from identification.views.nominal import SPEEDS, Nominal
-from identification.views.view import View, recent, torque_scale, travel_scale
+from identification.views.view import View, recent, reversals, torque_scale, travel_scale
 
 AT_START_S = 0.02
 """Duration over which a straight line is fitted to the torque to determine the presliding force at
@@ -189,9 +190,8 @@ class QuadraticDrag(Effect):
         Stribeck speeds, in rising and in falling order: quadratic drag depends on the speed alone,
         the effect of warming also on time."""
     separation = Separation.SPEEDS
-    sentence = """drag of {coefficient_Nms2_rad2:N m s^2/rad^2} times the square of speed adds to
-        viscous friction"""
-    positive = (0,)
+    sentence = """friction is {coefficient_Nms2_rad2:?higher/lower} by
+        {coefficient_Nms2_rad2:abs N m s^2/rad^2} times the square of speed"""
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -241,6 +241,9 @@ class StribeckShape(Effect):
             for a in ALPHAS
             for share in SAME_FALL
         ]
+
+    def absent(self, c: Array, shape: Shape, context: Context) -> Mapping[str, float]:
+        return {"alpha": context.nominal.alpha}
 
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         alpha, wider = shape
@@ -316,7 +319,6 @@ class DwellStaticFriction(Effect):
     sentence = """static friction grows by {growth_Nm:N m} at rest, with a time constant of
         {time_s:s}"""
     refine = {0: 0.0}
-    positive = (0,)
     enters = ("breakaway",)
     nonlinear = ("time_s",)
     trials = DWELLS_S
@@ -359,7 +361,8 @@ class Presliding(Effect):
         if context.nominal.play:  # the contact is elastic over the travel after the play
             return []
         scale = torque_scale(context.views) / travel_scale(context.views)
-        return [(float(k * scale),) for k in STIFFNESSES]
+        trials = [(float(k * scale),) for k in STIFFNESSES]
+        return everywhere(context, lambda view: bool(np.any(reversals(view.sense))), trials)
 
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         return replace(nominal, presliding_stiffness=shape[0]), shape
@@ -522,7 +525,7 @@ class CoulombDrift(Effect):
         recording to recording"""
     parameters = (
         Quantity("rate_Nm_s", Dimension.TORQUE_RATE, -1.0, 1.0),
-        Quantity("time_s", Dimension.TIME, 1.0, 1e7),
+        Quantity("time_s", Dimension.TIME, 1.0, STEADY_S),
     )
     look_alikes = ("viscous_thermal_drift", "winding_heating", "current_drift")
     experiment = """One recording repeated at the start, in the middle and at the end of a session,
@@ -532,6 +535,7 @@ class CoulombDrift(Effect):
     sentence = """Coulomb friction {rate_Nm_s:?rises/falls} by {rate_Nm_s:abs N m/h} of running at
         first, levelling off with a time constant of {time_s:s}"""
     refine = {0: 0.0}
+    limits = {0: (1.0, STEADY_S)}
     shape_error = EXACT
     nonlinear = ("time_s",)
     trials = (*WARM_UPS_S, (STEADY_S,))

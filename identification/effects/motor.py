@@ -92,10 +92,16 @@ def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
 
 
 def _waves(context: Context) -> Sequence[Shape]:
-    """Return trial cycles per motor turn and, without a common origin, the number of recordings."""
+    """Return trial cycles per motor turn and, without a common origin, the number of recordings.
+
+    A wave of which no recording contains a period is none: within a part of its period, any smooth
+    torque over the angle resembles it.
+    """
+    turns = max(float(np.ptp(v.motor)) for v in context.views) / (2.0 * pi)
+    whole = [shape for shape in CYCLES_PER_TURN if shape[0] * turns >= 1.0]
     if lacks_common_origin(context.views):
-        return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
-    return CYCLES_PER_TURN
+        return [(*shape, float(len(context.views))) for shape in whole]
+    return whole
 
 
 @recent
@@ -470,7 +476,6 @@ class CurrentLoopLag(Effect):
         in proportion to the frequency; a time skew is a pure delay."""
     separation = Separation.FREQUENCIES
     sentence = "the motor's torque lags the measured {channel} by {time_s:ms}, first order"
-    positive = (0,)
     follows = True
     shape_error = EXACT
     enters = ("torque",)
@@ -563,7 +568,6 @@ class WindingHeating(Effect):
         they do not), its torque per ampere falls"""
     refine = {0: 0.0}
     forms = {2: WITH_MAGNETS}
-    positive = (0,)
     follows = True
     enters = ("voltage", "torque")
     nonlinear = ("time_s", 0.0, "magnet")
@@ -608,7 +612,6 @@ class SupplySag(Effect):
     sentence = """the supply voltage, {supply_V:V} without load, falls by {resistance_ohm:ohm} times
         the supply current, and the voltage at the winding with it (a supply that was neither logged
         nor declared counts as the greatest voltage; the true resistance is then greater)"""
-    positive = (0,)
     enters = ("voltage",)
     nonlinear = ("supply_V",)
 

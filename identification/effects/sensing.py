@@ -253,6 +253,9 @@ class EncoderEccentricity(Effect):
     shown_by = staticmethod(both_encoders)
     needs = frozenset({Needs.JOINT_TURN})
 
+    def shows_a_period(self, views: Sequence[View]) -> bool:
+        return max(float(np.ptp(v.angle)) for v in views) >= 2.0 * pi
+
     @staticmethod
     def transmission(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(-np.sin(view.angle), -np.cos(view.angle))

@@ -318,6 +318,10 @@ class GearMeshRipple(Effect):
     fast = True
     needs = frozenset({Needs.JOINT_TURN})
 
+    def shapes(self, context: Context) -> Sequence[Shape]:
+        turns = max(float(np.ptp(v.angle)) for v in context.views) / (2.0 * pi)
+        return [shape for shape in super().shapes(context) if shape[0] * turns >= 1.0]
+
     @staticmethod
     def transmission(view: View, _nominal: Nominal, shape: Shape) -> Array:
         return sine_cosine(shape[0], view.angle)

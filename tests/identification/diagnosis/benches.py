@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -47,7 +48,7 @@ PLAN = (
     (30.6, ((22.0, 0.2),), "fit"),
     (20.0, ((15.0, 0.35), (4.0, 1.3)), "validate"),
 )
-"""Weight in kg, tones as (deg, Hz), role."""
+"""Weight in kg, tones as (deg, Hz) or a function of the duration, role."""
 
 
 def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:
@@ -57,11 +58,27 @@ def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:
     return np.asarray(ramp**2 * (3.0 - 2.0 * ramp) * total)
 
 
+def ladder(seconds: float) -> Array:
+    """Return short moves after rests of several durations, in mixed order."""
+    rng, place, forward, parts = np.random.default_rng(0), 0.0, 1.0, [np.zeros(100)]
+    share = np.arange(500) / 500.0
+    while sum(map(len, parts)) < seconds / CYCLE_S:
+        parts.append(np.full(round(float(rng.choice((0.1, 0.2, 0.4, 0.8, 1.6))) / CYCLE_S), place))
+        forward = -np.sign(place) if abs(place) > 0.3 else float(rng.choice((-forward, forward)))
+        move = forward * np.deg2rad(rng.uniform(5.0, 9.0))
+        parts.append(place + move * share**2 * (3.0 - 2.0 * share))
+        place += move
+    return np.concatenate(parts)[: round(seconds / CYCLE_S)]
+
+
 def campaign(
-    effects: Mapping[str, Mapping[str, float]], seed: int, seconds: float = 12.0
+    effects: Mapping[str, Mapping[str, float]],
+    seed: int,
+    seconds: float = 12.0,
+    plan: Sequence[Any] = (),
 ) -> tuple[Recording, ...]:
-    """Record the plan on a machine that hides ``effects``; the last campaigns are kept."""
-    return _campaign(json.dumps(effects), seed, seconds, tuple(PLAN))
+    """Record a plan on a machine that hides ``effects``; the last campaigns are kept."""
+    return _campaign(json.dumps(effects), seed, seconds, tuple(plan or PLAN))
 
 
 @lru_cache(maxsize=24)
@@ -75,7 +92,8 @@ def _campaign(
     for number, (mass, tones, role) in enumerate(plan, 1):
         machine.hang(mass)
         machine.power(True)
-        samples = record(machine, sines(tones, seconds), CYCLE_S)
+        command = tones(seconds) if callable(tones) else sines(tones, seconds)
+        samples = record(machine, command, CYCLE_S)
         machine.power(False)
         machine.rest(PAUSE_S)
         channels = {name: getattr(samples, name) for name in CHANNELS}
@@ -93,6 +111,25 @@ def _campaign(
             )
         )
     return tuple(recordings)
+
+
+SMOOTH = 15
+"""Samples over which the speed of an added torque is averaged."""
+
+
+def with_torque(
+    recordings: Sequence[Recording], torque: Callable[[Array, Array, Array], Array]
+) -> tuple[Recording, ...]:
+    """Return recordings of which the current supplies one more torque: a function of angle, rad,
+    speed, rad/s, and time, s, that acts against the motor, N m.
+    """
+    out = []
+    for r in recordings:
+        time, angle = r.channels["time"], r.channels["motor_angle"] / r.bench.gear_ratio
+        speed = np.convolve(np.gradient(angle, time), np.ones(SMOOTH) / SMOOTH, "same")
+        more = torque(angle, speed, time) / r.bench.ampere_torque
+        out.append(replace(r, channels={**r.channels, "current": r.channels["current"] + more}))
+    return tuple(out)
 
 
 @lru_cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -74,6 +75,51 @@ def test_the_plausible_range_of_every_parameter_scales_with_the_machine() -> Non
     assert {q.dimension for e in GAS for q in e.parameters} <= UNSCALED
     with pytest.raises(KeyError):
         _scale(Dimension.HEAT_FLOW, context.views, context.nominal)
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficient", "shape", "without"),
+    [
+        ("asymmetric_coulomb", 0.5, (), {"torque_Nm": 0.0}),
+        ("transmission_efficiency", 0.25, (), {"efficiency": 1.0}),
+        ("wrong_weight", 0.2, (2.0,), {"mass_kg": 10.0}),
+        ("compliance", 1e-3, (), {"stiffness_Nm_rad": 0.0}),
+        ("stribeck_shape", 1.0, (1.5, 1.0), {"alpha": 2.0}),
+        ("load_exponent", 1.0, (0.8,), {"exponent": 1.0}),
+        ("presliding", 1.0, (3e3,), {"stiffness_Nm_rad": 0.0}),
+        ("coulomb_drift", 0.02, (60.0,), {"rate_Nm_s": 0.0}),
+        ("position_dependent_friction", 1.0, (0.1, 0.05), {"torque_Nm": 0.0}),
+    ],
+)
+def test_an_effect_states_the_sizes_that_mean_it_is_absent(
+    name: str, coefficient: float, shape: tuple[float, ...], without: dict[str, float]
+) -> None:
+    """Of a stiffness, which is then infinite, an interval that contains zero is as wide as it."""
+    sizes = EFFECTS[name].absent(np.array([coefficient]), shape, bench()[0])
+    assert sizes == pytest.approx(without)
+
+
+def test_a_wave_needs_a_period_of_travel_and_presliding_a_reversal() -> None:
+    context = bench()[0]
+    turn = max(float(np.ptp(v.motor)) for v in context.views) / (2.0 * np.pi)
+
+    def least(name: str, turns: float) -> float:
+        here = tuple(
+            replace(v, motor=v.motor * turns / turn, angle=v.angle * turns / turn)
+            for v in context.views
+        )
+        shapes = EFFECTS[name].shapes(replace(context, views=here))
+        return min((shape[0] for shape in shapes), default=np.inf)
+
+    for name in ("cogging", "torque_ripple"):
+        assert (least(name, 0.26), least(name, 0.01)) == (4.0, np.inf)
+    seat = EFFECTS["encoder_eccentricity"]
+    assert not seat.shows_a_period(context.views), "the joint of the bench turns by 44 deg"
+    assert seat.shows_a_period([replace(v, angle=10.0 * v.angle) for v in context.views])
+    presliding = EFFECTS["presliding"]
+    one_way = tuple(replace(v, sense=np.ones(len(v.time))) for v in context.views)
+    assert presliding.shapes(context)
+    assert not presliding.shapes(replace(context, views=one_way))
 
 
 def test_the_true_values_leave_only_noise() -> None:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from identification.diagnosis import diagnose as diagnosing
 from identification.diagnosis import held_out, judgement, reasons
 from identification.diagnosis import unexplained as unexplained_module
 from identification.diagnosis.comparison import Contender, Round
+from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.held_out import (
     DROPPED,
     _Case,
@@ -21,15 +25,15 @@ from identification.diagnosis.held_out import (
 )
 from identification.diagnosis.joint import Added, Joint, estimates, fit, undetermined_size
 from identification.diagnosis.judgement import Judged, effects_of, verdict_of
-from identification.diagnosis.result import Step, Verdict
+from identification.diagnosis.result import Fit, Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.unexplained import unexplained, unexplained_equations
 from identification.effects import MOTION
-from identification.recording import Array, Recording
+from identification.recording import Array, Dataset, Recording
 from identification.views.view import View, views
 
-from .benches import campaign, honest, nominal_fit
+from .benches import PLAN, campaign, honest, ladder, nominal_fit, with_torque
 
 NAME = "asymmetric_coulomb"
 FAINT_N_M, UNSEEN = 0.002, 1.4
@@ -229,8 +233,10 @@ def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(
     assert step.name == "asymmetric_viscous"
     (warning,) = dropped_effects(found)
     assert "contains zero" in warning
-    alone = validated_effects(search(absent), ())
-    assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
+    plain = nominal_fit(honest())
+    final = fit(plain.views, "N m", plain.nominal, (absent,), plain)
+    alone = Search(plain, final, (Round(absent.term.name, ()),), 1e-3, 1.0, "", ())
+    assert validated_effects(alone, ()).final.effects == (), "nor if it is the only one"
 
 
 def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
@@ -269,11 +275,18 @@ def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
     assert after == pytest.approx(sigma, rel=0.25)
 
 
-def test_what_one_recording_alone_shows_need_not_pay_on_another() -> None:
+@pytest.mark.parametrize("label_kg", [16.0, 20.0])
+def test_what_one_recording_alone_shows_need_not_pay_on_another(label_kg: float) -> None:
+    """The mass is 20 kg; with this label there is no effect."""
+    labelled = [replace(r, weight_mass=label_kg) if r.name == "r4" else r for r in hidden()]
+    joint = nominal_fit(labelled)
     weight = Added(TERM["wrong_weight"], (3.0,), (0.0,))
     assert weight.term.place is not None
-    found = validated_effects(search(RIGHT, weight), aside())
-    assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb", "wrong_weight"}
+    final = fit(joint.views, "N m", joint.nominal, (RIGHT, weight), joint)
+    rounds = tuple(Round(e.term.name, ()) for e in (RIGHT, weight))
+    found = validated_effects(Search(joint, final, rounds, 1e-3, 1.0, "", ()), aside())
+    wrong = {"wrong_weight"} if label_kg != 20.0 else set()
+    assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb"} | wrong
 
 
 def test_recordings_set_aside_reject_a_rival_that_fits_as_well() -> None:
@@ -290,7 +303,7 @@ def test_recordings_set_aside_choose_between_effects_that_fit_alike(preference: 
     rival = Contender(RIGHT.term.name, search(RIGHT).final, preference, "")
     steps: list[Step] = []
     joint, taken = _with_rivals_judged(
-        _Case(aside(), nominal()),
+        _Case(aside(), nominal(), (), set()),
         search(WRONG).final,
         Round(WRONG.term.name, (rival,)),
         steps,
@@ -298,6 +311,7 @@ def test_recordings_set_aside_choose_between_effects_that_fit_alike(preference: 
     swapped = preference < RULES.rejected
     assert taken.name == joint.effects[-1].term.name == (RIGHT if swapped else WRONG).term.name
     assert [s.action for s in steps] == ["swap"] * swapped
+    assert taken.unconfirmed is swapped
     if swapped:
         assert taken.rivals[0].preference >= RULES.rejected
     else:
@@ -332,3 +346,100 @@ def test_friction_of_one_recording_is_no_drift() -> None:
     found = Search(joint, drift, (Round("coulomb_drift", ()),), 1e-3, 1.0, "", ())
     kept = validated_effects(found, unseen).final.effects
     assert not kept
+
+
+def test_after_a_drop_all_names_compete_again_and_the_winner_is_no_sure_name() -> None:
+    """The recordings set aside dropped the one and chose the other."""
+    terms = [TERM[n] for n in ("asymmetric_coulomb", "quadratic_drag", WRONG.term.name)]
+    found = validated_effects(search(WRONG), aside(), terms)
+    assert [s.name for s in found.steps] == [WRONG.term.name, RIGHT.term.name]
+    (taken,) = found.rounds
+    assert (taken.name, taken.unconfirmed) == (RIGHT.term.name, True)
+    assert found.final.effects[0].coefficients[0] == pytest.approx(0.5, rel=0.1)
+    dropped = next(r for r in taken.rivals if r.name == WRONG.term.name)
+    assert dropped.preference >= RULES.rejected
+    (effect,) = effects_of(found, np.random.default_rng(0))
+    assert effect.confidence == RULES.undecided_confidence
+    (sure,) = effects_of(validated_effects(search(RIGHT), aside(), terms), np.random.default_rng(0))
+    assert sure.confidence > 0.9
+
+
+def test_what_does_not_explain_unused_recordings_takes_no_empty_place() -> None:
+    terms = [TERM[n] for n in ("quadratic_drag", "cogging", WRONG.term.name)]
+    found = validated_effects(search(WRONG), aside(), terms)
+    assert found.rounds == ()
+    assert found.final.effects == ()
+
+
+RESTS = (
+    PLAN[1],
+    *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)),
+    (0.0, ladder, "validate"),
+)
+
+
+@pytest.mark.parametrize("growth_N_m", [6.0, 0.0])
+def test_static_friction_that_grows_at_rest_is_named_by_its_breakaways(growth_N_m: float) -> None:
+    """The other equations have no mismatch."""
+    dwell = {"growth_Nm": growth_N_m, "time_s": 0.25}
+    hidden = {"dwell_static_friction": dwell} if growth_N_m else {}
+    found = diagnose(Dataset(campaign(hidden, 3, 20.0, RESTS)), rng=np.random.default_rng(0))
+    assert {e.name for e in found.effects} == set(hidden)
+    for effect in found.effects:
+        assert found.verdict is Verdict.NAMED
+        for name, value in dwell.items():
+            assert effect.parameters[name].value == pytest.approx(value, rel=0.3)
+    assert found.effects or found.verdict is Verdict.NOTHING_MISSING
+
+
+PATCH = {"torque_Nm": 1.5, "center_rad": 0.0, "width_rad": 0.08}
+ONE_SINE = tuple((0.0, ((22.0, 0.35),), role) for *_, role in PLAN)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "plan", "bent", "sure"),
+    [({}, ONE_SINE, 1.5, False), ({"position_dependent_friction": PATCH}, PLAN, 0.0, True)],
+)
+def test_friction_that_a_speed_explains_as_well_is_no_sure_patch(
+    hidden: Any, plan: Any, bent: float, sure: bool
+) -> None:
+    """Of one sine the middle of the travel is the highest speed."""
+    bends = with_torque(campaign(hidden, 5, 6.0, plan), lambda _a, w, _t: -bent * w * np.abs(w))
+    joint = nominal_fit(bends)
+    added = Added(TERM["position_dependent_friction"], (0.0, 0.1), (1.0,))
+    final = fit(joint.views, "N m", joint.nominal, (added,), joint)
+    alone = Search(joint, final, (Round(added.term.name, ()),), 1e-3, 1.0, "", ())
+    (effect,) = effects_of(alone, np.random.default_rng(0))
+    assert (effect.confidence > RULES.undecided_confidence) is sure
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "unseen", "left"),
+    [
+        (1.0, 0.35, (1.0, 0.35), 35.0),
+        (1.0, 0.1, (1.0, 0.02), 0.0),
+        (0.1, 0.012, (0.26, 0.07), 7.0),
+        (0.1, 0.012, (None, None), 0.0),
+    ],
+)
+def test_many_noise_floors_left_are_a_part_unless_nearly_all_is_explained(
+    before: float, after: float, unseen: tuple[float | None, float | None], left: float
+) -> None:
+    errors = Fit("torque", "N m", 25.0, before, after, 0.01, *unseen)
+    assert reasons.floors_left(errors) == pytest.approx(left)
+
+
+@pytest.mark.parametrize(("after", "kind"), [(0.35, reasons.Kind.MUCH_LEFT), (0.012, None)])
+def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(
+    monkeypatch: pytest.MonkeyPatch, after: float, kind: reasons.Kind | None
+) -> None:
+    monkeypatch.setattr(diagnosing, "grown", lambda *_: False)
+    errors = Fit("torque", "N m", 25.0, 1.0, after, 0.01, 1.0, after)
+    shown: Any = SimpleNamespace(effects=(NAME,), main=errors, before=None, after=None)
+    assert diagnosing._doubt(shown, Judged(Verdict.NAMED, None, ())) is kind
+    if kind is not None:
+        reason = reasons.Reason(kind, found(1.0), (NAME,), left=reasons.floors_left(errors))
+        (text,) = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
+        assert "a part of the mismatch was found" in text
+        assert "asymmetric Coulomb" in text
+        assert "35.0 times the noise floor" in text

@@ -21,7 +21,7 @@ from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.views.view import View
 
-from .benches import campaign, honest, nominal_fit
+from .benches import campaign, honest, nominal_fit, with_torque
 
 TERM = {t.name: t for t in MOTION}
 TRUE = {"Mc": 6.825, "sigma_2": 5.3462, "J": 0.204, "omega_sf": 0.0557}
@@ -84,6 +84,14 @@ def test_a_current_averaged_over_the_cycle_is_no_skew() -> None:
     assert surprise(plain(), "time_skew") < SURE / 4.0
     instants = tuple(replace(r, averaged=frozenset()) for r in honest())
     assert surprise(nominal_fit(instants), "time_skew") > SURE
+
+
+def test_friction_that_bends_down_with_speed_is_a_negative_drag() -> None:
+    """The range of the catalogue allows both signs."""
+    bent = with_torque(honest(), lambda _angle, speed, _time: -0.5 * speed * np.abs(speed))
+    found = nominal_fit(bent).stack.term(TERM["quadratic_drag"], ())
+    assert found.coefficients[0] == pytest.approx(-0.5, rel=0.1)
+    assert found.surprise > SURE
 
 
 def test_what_the_nominal_parameters_swallow_is_given_back() -> None:
