@@ -27,9 +27,7 @@ from identification.diagnosis.rows import (
     equations,
     held_voltage,
     least_noise,
-    noise,
     own_noise,
-    without_tones,
 )
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
@@ -37,6 +35,7 @@ from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
+from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
 
@@ -427,19 +426,18 @@ def without_effect(joint: Joint, k: int) -> Stack:
     return with_effect_basis(bare, effect_derivatives(bare, others))
 
 
-APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01
-"""Half widths of the 90 % interval of the errors that approximate regressors cause in simulated
-trials: as a share of a size, and of an angle, rad.
-"""
+ANGLES = ("phase", "center", "zero", "rest")
+"""First words of the parameters that are places, whose errors do not grow with their values."""
 
 
 def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     """Return the parameters of each effect with 90 % intervals, from the scatter of the scores over
     blocks of time.
 
-    The intervals include the errors due to approximate regressors, which are not in this scatter. A
-    parameter that the fit selects from a list, such as a number of periods per turn, has an
-    interval of zero width.
+    The intervals include the error of the regressor, which is not in this scatter: its class is a
+    share of the squares, of which the square root is the share of a size, and the angle, rad, by
+    which a phase is off. A parameter that the fit selects from a list, such as a number of periods
+    per turn, has an interval of zero width.
 
     The fields for units are empty, because the catalogue states the units.
     """
@@ -468,10 +466,8 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                # Approximate regressors.
-                APPROXIMATION_RAD
-                if name.split("_")[0] in ("phase", "center", "zero", "rest")
-                else APPROXIMATION_SHARE * abs(values[name]),
+                math.sqrt(effect.term.shape_error)
+                * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
             )
             if np.any(s != 0.0)
             else 0.0

@@ -419,21 +419,13 @@ def block_sandwich(
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)
-    jacobians, residuals, owners = [], [], []
+    residuals, owners = [], []
     blocks = 0
     total = sum(int(np.sum(p.used)) for p in prepared)
     for p in prepared:
-        used = p.used
-        if not np.any(used):
+        if not np.any(p.used):
             continue
-        here = model_torque(p, values, alpha)
-        residual = (p.torque - here)[used]
-        columns = []
-        for name in names:
-            step = 1e-5 * max(abs(values[name]), 1e-9)
-            columns.append(
-                (model_torque(p, {**values, name: values[name] + step}, alpha) - here)[used] / step
-            )
+        residual = (p.torque - model_torque(p, values, alpha))[p.used]
         length = max(1, round(BLOCK_CORRELATION_TIMES * correlation_samples(residual)))
         length = max(1, min(length, total // LEAST_BLOCKS))
         count = max(1, round(len(residual) / length))
@@ -442,26 +434,88 @@ def block_sandwich(
             + np.minimum(np.arange(len(residual)) * count // max(len(residual), 1), count - 1)
         )
         blocks += count
-        jacobians.append(np.column_stack(columns))
         residuals.append(residual)
-    jacobian, residual, owner = (
-        np.concatenate(jacobians),
-        np.concatenate(residuals),
-        np.concatenate(owners),
-    )
-    count = len(names)
-    scale = np.linalg.norm(jacobian, axis=0)
-    blind = scale == 0.0
-    scale[blind] = 1.0
-    scaled = jacobian / scale
-    bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    scores = np.zeros((blocks, count))
+    scaled, scale, bread = _derivatives(prepared, values, names, alpha)
+    residual, owner = np.concatenate(residuals), np.concatenate(owners)
+    scores = np.zeros((blocks, len(names)))
     np.add.at(scores, owner, scaled * residual[:, None])
-    freedom = max(blocks - count, 3)
+    freedom = max(blocks - len(names), 3)
     covariance = bread @ (scores.T @ scores) @ bread * blocks / freedom / np.outer(scale, scale)
+    blind = ~np.any(scaled, axis=0)
     covariance[blind, :] = covariance[:, blind] = 0.0
     covariance[blind, blind] = math.inf
     return Spread(tuple(names), covariance, float(freedom))
+
+
+def _derivatives(
+    prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
+) -> tuple[Array, Array, Array]:
+    """Return the derivatives of the torque at the used samples with respect to the parameters, each
+    of norm one, shape (n, p), their norms, shape (p,), and the inverse of their products, (p, p).
+    """
+    jacobians = []
+    for p in (q for q in prepared if np.any(q.used)):
+        here, columns = model_torque(p, values, alpha), []
+        for name in names:
+            step = 1e-5 * max(abs(values[name]), 1e-9)
+            there = model_torque(p, {**values, name: values[name] + step}, alpha)
+            columns.append((there - here)[p.used] / step)
+        jacobians.append(np.column_stack(columns))
+    jacobian = np.concatenate(jacobians)
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = jacobian / scale
+    return scaled, scale, np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+
+
+SPEED_CELLS, ACCELERATION_CELLS = 8, 4
+"""Numbers of ranges of speed and of acceleration, with equal numbers of samples, in each of which a
+model discrepancy counts as constant.
+"""
+
+
+def discrepancy(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    alpha: float,
+    rms: float,
+    noise: float,
+) -> Array:
+    """Return the covariance of the parameters ``names`` due to a torque that the model lacks (M52),
+    shape (p, p).
+
+    The missing torque is an unknown function of speed, acceleration and load. It repeats with the
+    motion, so that no repetition averages it, and least squares hide the part of it that the
+    parameters can imitate. It counts as random with the expectation zero, constant in each cell of
+    speed, acceleration and load, independent between cells, and as large in each cell as the
+    residual without its noise, at least ``rms`` (model discrepancy: Kennedy and O'Hagan, Journal of
+    the Royal Statistical Society B 63 (2001) 425).
+
+    Args:
+        prepared: Recordings at one bandwidth.
+        values: Name to value.
+        names: Parameters.
+        alpha: Stribeck exponent.
+        rms: Rms of the residual beyond its noise, N m or N.
+        noise: Rms of the noise, N m or N.
+    """
+    here = [p for p in prepared if np.any(p.used)]
+    scaled, scale, bread = _derivatives(here, values, names, alpha)
+    loads = np.concatenate([np.full(int(np.sum(p.used)), np.median(p.moment)) for p in here])
+    cells = np.unique(loads, return_inverse=True)[1]
+    for signal, count in (("velocity", SPEED_CELLS), ("acceleration", ACCELERATION_CELLS)):
+        series = np.concatenate([getattr(p, signal)[p.used] for p in here])
+        edges = np.quantile(series, np.linspace(0.0, 1.0, count + 1)[1:-1])
+        cells = cells * count + np.searchsorted(edges, series)
+    residual = np.concatenate([(p.torque - model_torque(p, values, alpha))[p.used] for p in here])
+    number = int(np.max(cells)) + 1
+    squares = np.bincount(cells, residual**2, number) / np.maximum(np.bincount(cells), 1)
+    sums = np.zeros((number, len(names)))
+    np.add.at(sums, cells, scaled)
+    reach = sums @ bread / scale
+    missing = np.maximum(squares - noise**2, rms**2)
+    return np.asarray((reach * missing[:, None]).T @ reach)
 
 
 INPUTS = ("command", "feedforward", "load_force")

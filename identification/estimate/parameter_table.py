@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.estimate.equation_error import HIGHEST_SHARE, LOWEST_SHARE, model_torque
+from identification.estimate.equation_error import noise_floor as unrepeated
 from identification.model.parameters import (
     GEAR_PARAMETERS,
     LOAD_PARAMETERS,
@@ -25,7 +26,7 @@ from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model
 from identification.result import Fit, Parameter, Trace, Tradeoff
 from identification.views.nominal import Nominal
-from identification.views.predicted import Predicted, predicted_torque, relative, rms
+from identification.views.predicted import Predicted, noise_floor, predicted_torque, relative, rms
 from identification.views.view import views
 
 WIDEST = 0.5
@@ -78,7 +79,7 @@ def printed_fit(
     prepared: Sequence[Prepared], cut: bool, values: Mapping[str, float], alpha: float
 ) -> tuple[Fit, dict[str, Fit]]:
     """Return the torque error as every command prints it (:mod:`identification.views.predicted`),
-    over all recordings and over each.
+    over all recordings, with the noise floor, and over each recording.
 
     Without a sample in steady motion the error is that of the rows of the fit.
 
@@ -90,15 +91,21 @@ def printed_fit(
     """
     nominal, bandwidth = Nominal(values, (), alpha), prepared[0].bandwidth_Hz
     every = [p.recording for p in prepared if p.recording.role in ("fit", "validate")]
-    parts = [
-        predicted_torque(view, nominal)
+    seen = [
+        view
         for group in ([[r] for r in every] if cut else [every])
         for view in views(group, bandwidth)
     ]
+    parts = [predicted_torque(view, nominal) for view in seen]
     fitted = [p for p in prepared if p.recording.role == "fit"]
     whole = _printed([p for p in parts if p.role == "fit"], prepared[0])
     held = _printed([p for p in parts if p.role == "validate"], prepared[0])
     whole = whole or fit_of(fitted, values, alpha)
+    differences = noise_floor([p for p in parts if p.role == "fit"], seen[0].low_pass)
+    if differences is not None:
+        repeats = unrepeated(fitted, values, alpha)
+        floor = differences * (volts_per_torque(fitted[0].recording) or 1.0)
+        whole = replace(whole, noise_floor_rms=max(floor, repeats.rms if repeats else 0.0))
     if held is not None:
         whole = replace(whole, validate_rms=held.train_rms, validate_relative=held.train_relative)
     each = {}
@@ -172,9 +179,19 @@ def parameter_table(
     spread: Spread,
     model: Model,
     floors: Mapping[str, float],
+    discrepant: bool = False,
 ) -> dict[str, Parameter]:
     """Return every parameter with its interval and, if known, its floor; a parameter without
     interval has a reason.
+
+    Args:
+        prepared: Recordings to fit.
+        values: Name to value.
+        spread: Covariance of the fitted parameters.
+        model: Declared terms and fixed values.
+        floors: Name to the least half width by the Cramer-Rao bound.
+        discrepant: Whether the equation error leaves a torque that the model lacks. A static level
+            whose Stribeck speed is not identifiable is then withheld: it is an extrapolation.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -206,6 +223,12 @@ def parameter_table(
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
             _judge_rise(table, names, values, spread, keep_speed=shared)
+            static, speed = table[names[1]], table[names[2]]
+            if discrepant and static.identifiable and not speed.identifiable:
+                reason = f"{static.name} is extrapolated with {speed.name}: {speed.reason}"
+                table[static.name] = Parameter(
+                    static.name, static.unit, None, identifiable=False, reason=reason
+                )
     return table
 
 

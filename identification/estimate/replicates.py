@@ -76,7 +76,8 @@ def likelihood_bias(
     inertia.
 
     The result is None if the experiment cannot be simulated, because the recordings do not
-    determine the drive loop or a gas generator is the load, or if the filter diverges on the replicates.
+    determine the drive loop or a gas generator is the load, or if the filter diverges on the
+    replicates.
 
     Args:
         joint: The estimate.
