@@ -10,8 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.equation_error import HIGHEST_SHARE, LOWEST_SHARE, model_torque
-from identification.estimate.equation_error import noise_floor as unrepeated
+from identification.estimate.equation_error import (
+    HIGHEST_SHARE,
+    LEAST_SAMPLES,
+    LOWEST_SHARE,
+    SAME,
+    command_period,
+    model_torque,
+)
 from identification.model.parameters import (
     GEAR_PARAMETERS,
     LOAD_PARAMETERS,
@@ -23,7 +29,7 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
-from identification.recording import Model
+from identification.recording import Model, Recording
 from identification.result import Fit, Parameter, Trace, Tradeoff
 from identification.views.nominal import Nominal
 from identification.views.predicted import Predicted, noise_floor, predicted_torque, relative, rms
@@ -103,9 +109,10 @@ def printed_fit(
     whole = whole or fit_of(fitted, values, alpha)
     differences = noise_floor([p for p in parts if p.role == "fit"], seen[0].low_pass)
     if differences is not None:
-        repeats = unrepeated(fitted, values, alpha)
-        floor = differences * (volts_per_torque(fitted[0].recording) or 1.0)
-        whole = replace(whole, noise_floor_rms=max(floor, repeats.rms if repeats else 0.0))
+        pairs = [(v.recording, p) for v, p in zip(seen, parts, strict=True) if p.role == "fit"]
+        floor = max(differences, _unrepeated(pairs))
+        volts = volts_per_torque(fitted[0].recording) or 1.0
+        whole = replace(whole, noise_floor_rms=volts * floor)
     if held is not None:
         whole = replace(whole, validate_rms=held.train_rms, validate_relative=held.train_relative)
     each = {}
@@ -113,6 +120,23 @@ def printed_fit(
         own = _printed([part for part in parts if part.recording == name], prepared[0])
         each[name] = own or fit_of([p for p in prepared if p.recording.name == name], values, alpha)
     return whole, each
+
+
+def _unrepeated(pairs: Sequence[tuple[Recording, Predicted]]) -> float:
+    """Return the rms of the errors that differ between periods of a command, over the square root
+    of two; 0 with too few periods.
+    """
+    squares, count = 0.0, 0
+    for recording, part in pairs:
+        lag = command_period(recording)
+        if lag is None:
+            continue
+        error, when, command = part.measured - part.model, part.time, recording.channels["command"]
+        here, there = (np.interp(t, recording.time, command) for t in (when, when + lag))
+        change = error - np.interp(when + lag, when, error, right=math.nan)
+        known = np.isfinite(change) & (np.abs(here - there) <= SAME * float(np.ptp(command)))
+        squares, count = squares + float(np.sum(change[known] ** 2)), count + int(np.sum(known))
+    return math.sqrt(0.5 * squares / count) if count >= LEAST_SAMPLES else 0.0
 
 
 def _printed(parts: Sequence[Predicted], first: Prepared) -> Fit | None:

@@ -56,6 +56,21 @@ def test_the_floor_is_the_noise_whatever_smooth_torque_is_missing() -> None:
     assert noise_floor([nothing], view.low_pass) is None
 
 
+def test_what_differs_between_periods_of_the_command_is_floor() -> None:
+    recording = noisy(20.0)
+    command = np.sin(2.0 * np.pi * recording.time)
+    wander = np.sin(2.0 * np.pi * 0.37 * recording.time)
+    torque = recording.channels["torque"] + wander
+    channels = {**recording.channels, "torque": torque, "command": command}
+    floors = [
+        identified(replace(recording, channels=c)).fit.noise_floor_rms
+        for c in (channels, {k: v for k, v in channels.items() if k != "command"})
+    ]
+    between = float(np.sqrt(0.5 * np.mean((wander[1000:] - wander[:-1000]) ** 2)))
+    assert floors[0] == pytest.approx(between, rel=0.1)
+    assert floors[1] < 0.2 * floors[0]
+
+
 def test_a_right_model_has_no_misfit_and_a_missing_torque_is_above_the_floor() -> None:
     right, lacking = identified(noisy(10.0)), identified(noisy(10.0, 3.0))
     assert right.misfit == ()
