@@ -39,8 +39,8 @@ class Fit:
 
     A value ``*_relative`` is the norm of the residual over the norm of the torque.
     ``noise_floor_rms`` is the part of the error that no model can explain: the noise by third
-    differences, or what does not repeat where a motion is repeated, the greater of both; None if it
-    was not computed.
+    differences, or what differs between periods of the command, the greater of both; None if it was
+    not computed.
     """
 
     unit: str

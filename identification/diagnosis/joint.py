@@ -35,6 +35,7 @@ from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
+from identification.result import MOST_FLOORS
 from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
@@ -430,14 +431,13 @@ ANGLES = ("phase", "center", "zero", "rest")
 """First words of the parameters that are places, whose errors do not grow with their values."""
 
 
-def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
+def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...]:
     """Return the parameters of each effect with 90 % intervals, from the scatter of the scores over
     blocks of time.
 
-    The intervals include the error of the regressor, which is not in this scatter: its class is a
-    share of the squares, of which the square root is the share of a size, and the angle, rad, by
-    which a phase is off. A parameter that the fit selects from a list, such as a number of periods
-    per turn, has an interval of zero width.
+    With ``form``, the intervals include the error of the form of the effect, which is not in this
+    scatter (:func:`_form_error`). A parameter that the fit selects from a list, such as a number of
+    periods per turn, has an interval of zero width.
 
     The fields for units are empty, because the catalogue states the units.
     """
@@ -459,6 +459,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         part = covariance[at : at + len(moves), at : at + len(moves)]
         at += len(moves)
         values = effect.parameters(context)
+        off = _form_error(joint, stack, effect) if form else 0.0
         slopes = {
             name: np.array([move[name] - values[name] for move in moves]) / DERIVATIVE_STEP
             for name in values
@@ -466,8 +467,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                math.sqrt(effect.term.shape_error)
-                * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
+                off * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
             )
             if np.any(s != 0.0)
             else 0.0
@@ -479,6 +479,19 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     return tuple(out)
 
 
+def _form_error(joint: Joint, stack: Stack, effect: Added) -> float:
+    """Return the error of an effect's form, as a share of its size and, rad, of its angles: the
+    root of the class of its regressor's error, a share of the squares, or of what is left beyond
+    noise in its rows over what it contributes, if the fit leaves more than noise.
+    """
+    given = contribution(stack, effect)
+    rows = given != 0.0
+    left, gain = float(np.sum(joint.residual[rows] ** 2)), float(given @ given)
+    noises = float(np.sum(np.concatenate([e.allowed() for e in stack.equations])[rows]))
+    missing = left - noises if left > MOST_FLOORS**2 * noises else 0.0
+    return math.sqrt(max(effect.term.shape_error, missing / gain if gain > 0.0 else 0.0))
+
+
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     """Return name and estimate of a size of effect ``k`` whose interval contains zero, or None if
     there is no such size.
@@ -486,7 +499,7 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     Sizes are the parameters that are proportional to a coefficient of the effect, or to the
     reciprocal of a coefficient, such as a stiffness.
     """
-    effect, sizes = joint.effects[k], estimates(joint)[k]
+    effect, sizes = joint.effects[k], estimates(joint, form=False)[k]
     if effect.term.size is not None:
         return None
     context = Context(joint.views, joint.nominal)
