@@ -105,9 +105,13 @@ class Pendulum:
         """Inertia m l^2 about the joint, kg m^2."""
         return self.mass * self.length**2
 
+    def moment(self, gravity: float) -> float:
+        """Return the greatest torque m g l, N m, with ``gravity`` in m/s^2."""
+        return self.mass * gravity * self.length
+
     def torque(self, angle: Array, gravity: float) -> Array:
         """Return the weight's torque on the joint at ``angle``, N m, with ``gravity`` in m/s^2."""
-        return np.asarray(-self.mass * gravity * self.length * np.sin(angle - self.zero))
+        return np.asarray(-self.moment(gravity) * np.sin(angle - self.zero))
 
 
 @dataclass(frozen=True)

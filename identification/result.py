@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,9 @@ class Fit:
     """Torque error at the stated bandwidth.
 
     A value ``*_relative`` is the norm of the residual over the norm of the torque.
+    ``noise_floor_rms`` is the part of the error that no model can explain: the noise by third
+    differences, or what differs between periods of the command, the greater of both; None if it was
+    not computed.
     """
 
     unit: str
@@ -44,6 +49,39 @@ class Fit:
     train_relative: float
     validate_rms: float | None = None
     validate_relative: float | None = None
+    noise_floor_rms: float | None = None
+
+    @property
+    def explained(self) -> float:
+        """Share of the torque's power that the fit explains."""
+        return 1.0 - self.train_relative**2
+
+    @property
+    def floors(self) -> float | None:
+        """Ratio of the error to the noise floor, or None if the floor is unknown or zero."""
+        return self.train_rms / self.noise_floor_rms if self.noise_floor_rms else None
+
+    @property
+    def discrepancy_rms(self) -> float:
+        """Rms of the error beyond the noise floor; zero if the floor is unknown."""
+        floor = self.train_rms if self.noise_floor_rms is None else self.noise_floor_rms
+        return math.sqrt(max(self.train_rms**2 - floor**2, 0.0))
+
+
+class Misfit(StrEnum):
+    """Ways in which a model does not describe the recordings."""
+
+    AT_BOUNDS = "at_bounds"
+    EXPLAINS_LITTLE = "explains_little"
+    ABOVE_FLOOR = "above_noise_floor"
+
+
+LEAST_EXPLAINED = 0.5
+"""Share of the torque's power that a model must explain to describe the machine."""
+MOST_FLOORS = 1.5
+"""Ratio of the error to the noise floor up to which a model describes the recordings."""
+FOUNDATION = ("Mc", "sigma_2", "J", "mu_c")
+"""Parameters without which the model has no friction or no inertia."""
 
 
 @dataclass(frozen=True)
@@ -308,6 +346,21 @@ class Identification:
         in volts.
         """
         return self.parameters["Mc"].unit
+
+    @property
+    def bounded(self) -> tuple[str, ...]:
+        """Names of the parameters of :data:`FOUNDATION` that are at their bounds."""
+        return tuple(n for n in FOUNDATION if n in self.parameters and self.parameters[n].at_bound)
+
+    @property
+    def misfit(self) -> tuple[Misfit, ...]:
+        """Ways in which the fitted model does not describe the recordings, the gravest first."""
+        signs = {
+            Misfit.EXPLAINS_LITTLE: self.fit.explained < LEAST_EXPLAINED,
+            Misfit.AT_BOUNDS: bool(self.bounded),
+            Misfit.ABOVE_FLOOR: (self.fit.floors or 0.0) > MOST_FLOORS,
+        }
+        return tuple(code for code, holds in signs.items() if holds)
 
     def values(self) -> dict[str, float]:
         """Return name to value of the identifiable parameters."""

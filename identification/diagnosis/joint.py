@@ -27,9 +27,7 @@ from identification.diagnosis.rows import (
     equations,
     held_voltage,
     least_noise,
-    noise,
     own_noise,
-    without_tones,
 )
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
@@ -37,6 +35,8 @@ from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
+from identification.result import MOST_FLOORS
+from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
 
@@ -427,19 +427,17 @@ def without_effect(joint: Joint, k: int) -> Stack:
     return with_effect_basis(bare, effect_derivatives(bare, others))
 
 
-APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01
-"""Half widths of the 90 % interval of the errors that approximate regressors cause in simulated
-trials: as a share of a size, and of an angle, rad.
-"""
+ANGLES = ("phase", "center", "zero", "rest")
+"""First words of the parameters that are places, whose errors do not grow with their values."""
 
 
-def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
+def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...]:
     """Return the parameters of each effect with 90 % intervals, from the scatter of the scores over
     blocks of time.
 
-    The intervals include the errors due to approximate regressors, which are not in this scatter. A
-    parameter that the fit selects from a list, such as a number of periods per turn, has an
-    interval of zero width.
+    With ``form``, the intervals include the error of the form of the effect, which is not in this
+    scatter (:func:`_form_error`). A parameter that the fit selects from a list, such as a number of
+    periods per turn, has an interval of zero width.
 
     The fields for units are empty, because the catalogue states the units.
     """
@@ -461,6 +459,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         part = covariance[at : at + len(moves), at : at + len(moves)]
         at += len(moves)
         values = effect.parameters(context)
+        off = _form_error(joint, stack, effect) if form else 0.0
         slopes = {
             name: np.array([move[name] - values[name] for move in moves]) / DERIVATIVE_STEP
             for name in values
@@ -468,10 +467,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                # Approximate regressors.
-                APPROXIMATION_RAD
-                if name.split("_")[0] in ("phase", "center", "zero", "rest")
-                else APPROXIMATION_SHARE * abs(values[name]),
+                off * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
             )
             if np.any(s != 0.0)
             else 0.0
@@ -487,11 +483,24 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     return tuple(out)
 
 
+def _form_error(joint: Joint, stack: Stack, effect: Added) -> float:
+    """Return the error of an effect's form, as a share of its size and, rad, of its angles: the
+    root of the class of its regressor's error, a share of the squares, or of what is left beyond
+    noise in its rows over what it contributes, if the fit leaves more than noise.
+    """
+    given = contribution(stack, effect)
+    rows = given != 0.0
+    left, gain = float(np.sum(joint.residual[rows] ** 2)), float(given @ given)
+    noises = float(np.sum(np.concatenate([e.allowed() for e in stack.equations])[rows]))
+    missing = left - noises if left > MOST_FLOORS**2 * noises else 0.0
+    return math.sqrt(max(effect.term.shape_error, missing / gain if gain > 0.0 else 0.0))
+
+
 def undetermined_size(joint: Joint, k: int) -> str | None:
     """Return a text on a size of effect ``k`` whose interval contains the value without the effect
     (:meth:`~identification.effects.effect.Effect.absent`), or None if there is no such size.
     """
-    effect, sizes = joint.effects[k], estimates(joint)[k]
+    effect, sizes = joint.effects[k], estimates(joint, form=False)[k]
     context = Context(joint.views, joint.nominal)
     nothing = effect.term.absent(np.array(effect.coefficients), effect.shape, context)
     for name, none in nothing.items():

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from identification.result import LEAST_EXPLAINED, MOST_FLOORS
+from identification.views.predicted import ACCURACY
+
 
 @dataclass(frozen=True)
 class SelectionRules:
@@ -146,7 +149,7 @@ class SelectionRules:
     level: float = 0.01
     tested_from: float = 1.1
     excess: float = 1.5
-    accuracy: float = 2e-4
+    accuracy: float = ACCURACY
     excess_of_one: float = 2.0
     least_share: float = 0.01
     least_share_white: float = 5e-4
@@ -184,8 +187,8 @@ class SelectionRules:
     implausible_confidence: float = 0.05
     own_coordinate: float = 0.8
     least_curve_gain: float = 0.05
-    explained: float = 0.5
-    floors: float = 1.5
+    explained: float = LEAST_EXPLAINED
+    floors: float = MOST_FLOORS
     floors_left: float = 3.0
     recording: float = 2.0
     alike: float = 0.9

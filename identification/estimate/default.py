@@ -22,6 +22,7 @@ from identification.estimate.covariance import (
 )
 from identification.estimate.equation_error import (
     Stage,
+    discrepancy,
     loaded_stage,
     require_motion,
     unloaded_stage,
@@ -46,18 +47,22 @@ from identification.estimate.refinement import (
 from identification.estimate.uncertainty import bootstrap, profiles
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress, silent
+from identification.numerics.spread import Spread
 from identification.prepare import (
     Prepared,
     joint_angle,
     prepare,
     resting,
     torque_unit,
+    volts_per_torque,
 )
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import (
     DEFAULT,
+    MOST_FLOORS,
     Convergence,
     EstimatorSettings,
+    Fit,
     Identification,
     Profile,
     Resampled,
@@ -151,15 +156,24 @@ def identification(
     constants = shifts_of_constants(
         active, lambda moved: solve_stages(*by_load(moved), model, silent)[0]
     )
-    known = with_constants(found.spread, constants)
+    fit, fits = printed_fit(every, cut, found.values, model.alpha)
+    known = with_constants(_with_discrepancy(found, active, fit, model.alpha), constants)
     values, spread, priors, doubts = with_priors(found.values, known, model.priors)
-    fit, fits = printed_fit(every, cut, values, model.alpha)
+    if priors:
+        fit, fits = printed_fit(every, cut, values, model.alpha)
     return Identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
         # The floor is the bound for the recordings alone, without priors.
-        parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
+        parameters=parameter_table(
+            active,
+            values,
+            spread,
+            model,
+            {} if priors else found.floors,
+            found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
+        ),
         fit=fit,
         stages=found.stages,
         fitted=dict(values),
@@ -176,6 +190,19 @@ def identification(
         fits_by_recording=fits,
         evaluations=sum(s.evaluations for s in found.stages),
     )
+
+
+def _with_discrepancy(found: Found, active: Sequence[Prepared], fit: Fit, alpha: float) -> Spread:
+    """Return the covariance of the estimate, with that due to a torque that the model lacks if the
+    refinement was rejected or the error is above the noise floor.
+    """
+    spread = found.spread
+    if not spread.names or (found.taken is not None and (fit.floors or 0.0) <= MOST_FLOORS):
+        return spread
+    volts = volts_per_torque(active[0].recording) or 1.0
+    sizes = fit.discrepancy_rms / volts, (fit.noise_floor_rms or 0.0) / volts
+    more = discrepancy(active, found.values, spread.names, alpha, *sizes)
+    return replace(spread, covariance=spread.covariance + more)
 
 
 def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared]]:

@@ -431,7 +431,9 @@ def _linearised(
     others: Sequence[Array] = (),
 ) -> _Rows:
     """Return the rows of all recordings; ``others`` holds one more column for each recording."""
-    jacobians, residuals, owners = [], [], []
+    jacobians: list[Array] = []
+    residuals: list[Array] = []
+    owners: list[IntArray] = []
     blocks = 0
     total = sum(int(np.sum(p.used)) for p in prepared)
     for k, p in enumerate(prepared):
@@ -455,7 +457,6 @@ def _linearised(
             + np.minimum(np.arange(len(residual)) * count // max(len(residual), 1), count - 1)
         )
         blocks += count
-        jacobians.append(np.column_stack(columns))
         residuals.append(residual)
     return _Rows(np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(owners))
 
@@ -526,6 +527,60 @@ def averaging(
         f"`average: {key}` at the channel; J and sigma_2 depend on it, and their intervals do not "
         "include it",
     )
+
+
+SPEED_CELLS, ACCELERATION_CELLS = 8, 4
+"""Numbers of ranges of speed and of acceleration, with equal numbers of samples, in each of which a
+model discrepancy counts as constant.
+"""
+
+
+def discrepancy(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    alpha: float,
+    rms: float,
+    noise: float,
+) -> Array:
+    """Return the covariance of the parameters ``names`` due to a torque that the model lacks (M52),
+    shape (p, p).
+
+    The missing torque is an unknown function of speed, acceleration and load. It repeats with the
+    motion, so that no repetition averages it, and least squares hide the part of it that the
+    parameters can imitate. It counts as random with the expectation zero, constant in each cell of
+    speed, acceleration and load, independent between cells, and as large in each cell as the
+    residual without its noise, at least ``rms`` (model discrepancy: Kennedy and O'Hagan, Journal of
+    the Royal Statistical Society B 63 (2001) 425).
+
+    Args:
+        prepared: Recordings at one bandwidth.
+        values: Name to value.
+        names: Parameters.
+        alpha: Stribeck exponent.
+        rms: Rms of the residual beyond its noise, N m or N.
+        noise: Rms of the noise, N m or N.
+    """
+    here = [p for p in prepared if np.any(p.used)]
+    jacobian = _linearised(here, values, names, alpha).jacobian
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = jacobian / scale
+    bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    loads = np.concatenate([np.full(int(np.sum(p.used)), np.median(p.moment)) for p in here])
+    cells = np.unique(loads, return_inverse=True)[1]
+    for signal, count in (("velocity", SPEED_CELLS), ("acceleration", ACCELERATION_CELLS)):
+        series = np.concatenate([getattr(p, signal)[p.used] for p in here])
+        edges = np.quantile(series, np.linspace(0.0, 1.0, count + 1)[1:-1])
+        cells = cells * count + np.searchsorted(edges, series)
+    residual = np.concatenate([(p.torque - model_torque(p, values, alpha))[p.used] for p in here])
+    number = int(np.max(cells)) + 1
+    squares = np.bincount(cells, residual**2, number) / np.maximum(np.bincount(cells), 1)
+    sums = np.zeros((number, len(names)))
+    np.add.at(sums, cells, scaled)
+    reach = sums @ bread / scale
+    missing = np.maximum(squares - noise**2, rms**2)
+    return np.asarray((reach * missing[:, None]).T @ reach)
 
 
 INPUTS = ("command", "feedforward", "load_force")

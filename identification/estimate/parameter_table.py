@@ -10,7 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.equation_error import HIGHEST_SHARE, LOWEST_SHARE, model_torque
+from identification.estimate.equation_error import (
+    HIGHEST_SHARE,
+    LEAST_SAMPLES,
+    LOWEST_SHARE,
+    SAME,
+    command_period,
+    model_torque,
+)
 from identification.model.parameters import (
     GEAR_PARAMETERS,
     LOAD_PARAMETERS,
@@ -22,10 +29,10 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
-from identification.recording import Model
+from identification.recording import Model, Recording
 from identification.result import Fit, Parameter, Trace, Tradeoff
 from identification.views.nominal import Nominal
-from identification.views.predicted import Predicted, predicted_torque, relative, rms
+from identification.views.predicted import Predicted, noise_floor, predicted_torque, relative, rms
 from identification.views.view import views
 
 OFFSET_SHARE = 0.1
@@ -80,7 +87,7 @@ def printed_fit(
     prepared: Sequence[Prepared], cut: bool, values: Mapping[str, float], alpha: float
 ) -> tuple[Fit, dict[str, Fit]]:
     """Return the torque error as every command prints it (:mod:`identification.views.predicted`),
-    over all recordings and over each.
+    over all recordings, with the noise floor, and over each recording.
 
     Without a sample in steady motion the error is that of the rows of the fit.
 
@@ -92,15 +99,22 @@ def printed_fit(
     """
     nominal, bandwidth = Nominal(values, (), alpha), prepared[0].bandwidth_Hz
     every = [p.recording for p in prepared if p.recording.role in ("fit", "validate")]
-    parts = [
-        predicted_torque(view, nominal)
+    seen = [
+        view
         for group in ([[r] for r in every] if cut else [every])
         for view in views(group, bandwidth)
     ]
+    parts = [predicted_torque(view, nominal) for view in seen]
     fitted = [p for p in prepared if p.recording.role == "fit"]
     whole = _printed([p for p in parts if p.role == "fit"], prepared[0])
     held = _printed([p for p in parts if p.role == "validate"], prepared[0])
     whole = whole or fit_of(fitted, values, alpha)
+    differences = noise_floor([p for p in parts if p.role == "fit"], seen[0].low_pass)
+    if differences is not None:
+        pairs = [(v.recording, p) for v, p in zip(seen, parts, strict=True) if p.role == "fit"]
+        floor = max(differences, _unrepeated(pairs))
+        volts = volts_per_torque(fitted[0].recording) or 1.0
+        whole = replace(whole, noise_floor_rms=volts * floor)
     if held is not None:
         whole = replace(whole, validate_rms=held.train_rms, validate_relative=held.train_relative)
     each = {}
@@ -108,6 +122,23 @@ def printed_fit(
         own = _printed([part for part in parts if part.recording == name], prepared[0])
         each[name] = own or fit_of([p for p in prepared if p.recording.name == name], values, alpha)
     return whole, each
+
+
+def _unrepeated(pairs: Sequence[tuple[Recording, Predicted]]) -> float:
+    """Return the rms of the errors that differ between periods of a command, over the square root
+    of two; 0 with too few periods.
+    """
+    squares, count = 0.0, 0
+    for recording, part in pairs:
+        lag = command_period(recording)
+        if lag is None:
+            continue
+        error, when, command = part.measured - part.model, part.time, recording.channels["command"]
+        here, there = (np.interp(t, recording.time, command) for t in (when, when + lag))
+        change = error - np.interp(when + lag, when, error, right=math.nan)
+        known = np.isfinite(change) & (np.abs(here - there) <= SAME * float(np.ptp(command)))
+        squares, count = squares + float(np.sum(change[known] ** 2)), count + int(np.sum(known))
+    return math.sqrt(0.5 * squares / count) if count >= LEAST_SAMPLES else 0.0
 
 
 def _printed(parts: Sequence[Predicted], first: Prepared) -> Fit | None:
@@ -174,9 +205,19 @@ def parameter_table(
     spread: Spread,
     model: Model,
     floors: Mapping[str, float],
+    discrepant: bool = False,
 ) -> dict[str, Parameter]:
     """Return every parameter with its interval and, if known, its floor; a parameter without
     interval has a reason.
+
+    Args:
+        prepared: Recordings to fit.
+        values: Name to value.
+        spread: Covariance of the fitted parameters.
+        model: Declared terms and fixed values.
+        floors: Name to the least half width by the Cramer-Rao bound.
+        discrepant: Whether the equation error leaves a torque that the model lacks. A static level
+            whose Stribeck speed is not identifiable is then withheld: it is an extrapolation.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -208,6 +249,12 @@ def parameter_table(
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
             _judge_rise(table, names, values, spread, keep_speed=shared)
+            static, speed = table[names[1]], table[names[2]]
+            if discrepant and static.identifiable and not speed.identifiable:
+                reason = f"{static.name} is extrapolated with {speed.name}: {speed.reason}"
+                table[static.name] = Parameter(
+                    static.name, static.unit, None, identifiable=False, reason=reason
+                )
     return table
 
 

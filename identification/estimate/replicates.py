@@ -76,7 +76,8 @@ def likelihood_bias(
     inertia.
 
     The result is None if the experiment cannot be simulated, because the recordings do not
-    determine the drive loop or a load is not a weight, or if the filter diverges on the replicates.
+    determine the drive loop or a gas generator is the load, or if the filter diverges on the
+    replicates.
 
     Args:
         joint: The estimate.
@@ -226,10 +227,9 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop, or None if it is not determined or a load is not a weight."""
+    """Return the drive loop, or None if it is not determined or a gas generator is the load."""
     recordings = [m.recording for m in motions]
-    plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
-    if not plain:
+    if any(r.hot_fire or "command" not in r.channels for r in recordings):
         return None
     limit = headroom * max(float(np.max(np.abs(m.torque))) for m in motions)
     return drive_loop(recordings, limit, _step_of_encoder(motions[0]))
@@ -298,9 +298,10 @@ def _response(joint: Point, m: Motion, loop: Loop, disturbance: Array) -> Respon
     values = unpack(joint.vector, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
     command = np.asarray(r.channels["command"], dtype=np.float64)
-    return respond(
-        command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance
-    )
+    moment, weight = float(np.median(m.moment)), r.pendulum
+    swing = (0.0, 0.0) if weight is None else (weight.moment(r.bench.gravity), weight.zero)
+    known = (r.steady_torque, *swing)
+    return respond(command, r.period, values, moment, joint.alpha, loop, disturbance, known)
 
 
 def _replicate(joint: Point, m: Motion, loop: Loop, noise: Array) -> Motion | None:

@@ -89,8 +89,10 @@ def respond(
     alpha: float,
     loop: Loop,
     disturbance: Array | None = None,
+    known: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Response:
-    """Simulate the response to a command, from rest at the first value of the command.
+    """Simulate the response to a command, from rest at the first value of the command, where the
+    drive holds the known load.
 
     Args:
         command: Commanded joint angle at each sample, rad, shape (n,); linear between samples.
@@ -102,6 +104,7 @@ def respond(
         loop: The drive.
         disturbance: Logged torque less true torque on the joint in each period, N m, shape (n,),
             because the drive's current loop follows the noise of its own sensor; None for no noise.
+        known: Known load on the joint: torque c - a sin(angle - b) with c, N m; a, N m; b, rad.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
@@ -114,6 +117,7 @@ def respond(
         loop.torque_limit,
         loop.count,
         lag,
+        *known,
     ]
     gains = np.array(own)
     angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
@@ -142,8 +146,9 @@ def _follow(
     """Fill ``angle``, ``torque`` and ``peaks``; the speed by a linearly implicit rule."""
     h = period / steps
     static = static_friction(moment, p)
-    theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
-    given = 0.0
+    theta, omega, seen, measured, count = command[0], 0.0, 0.0, command[0], gains[5]
+    integral = -(gains[7] - gains[8] * math.sin(theta - gains[9])) / gains[1]
+    given = gains[1] * integral
     angle[0] = theta
     for k in range(1, len(command)):
         rate = (command[k] - command[k - 1]) / period
@@ -163,7 +168,7 @@ def _follow(
             drive = given
             total += drive
             peaks[1] = max(peaks[1], abs(drive))
-            drive -= lost[k]
+            drive += gains[7] - gains[8] * math.sin(theta - gains[9]) - lost[k]
             before = omega
             side = 1.0 if omega > 0.0 else -1.0
             if omega == 0.0:

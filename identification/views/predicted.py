@@ -5,18 +5,20 @@ where the equation applies. Every command that prints an error computes it here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.numerics.arrays import Array
-from identification.signals import BoolArray
+from identification.signals import BoolArray, Decimator, noise, without_tones
 from identification.views.nominal import INSTANTS, NominalTorque
 from identification.views.view import View, sharpness
 
 LEAST_PER_COLUMN = 10
 """Least number of samples for each quantity that is fitted in a recording."""
+ACCURACY = 2e-4
+"""Error that even the best sensors may cause, as a share of the greatest torque or voltage."""
 
 
 @dataclass(frozen=True)
@@ -125,3 +127,31 @@ def relative(parts: Iterable[Predicted]) -> float | None:
         error += float(off @ off)
         measured += float(known @ known)
     return math.sqrt(error / measured) if measured > 0.0 else None
+
+
+def noise_floor(parts: Sequence[Predicted], low_pass: Decimator) -> float | None:
+    """Return the rms of the errors that no model can explain: the noise before the filter, by third
+    differences of the errors in each recording, and the accuracy of the best sensors. None without
+    any error.
+
+    Args:
+        parts: One equation of several recordings.
+        low_pass: Filter of the recordings.
+    """
+    known = [(k, p, np.isfinite(p.measured - p.model)) for k, p in enumerate(parts)]
+    known = [(k, p, at) for k, p, at in known if np.any(at)]
+    if not known:
+        return None
+    owner = np.concatenate([np.full(int(np.sum(at)), k) for k, _, at in known])
+    left = without_tones(
+        np.concatenate([p.error for _, p, _ in known]),
+        owner,
+        np.concatenate([p.time[at] for _, p, at in known]),
+    )
+    common = noise(left, owner, low_pass)
+    squares = 0.0
+    for k, _, at in known:
+        own = noise(left[owner == k], owner[owner == k], low_pass)
+        squares += float(np.sum(at)) * max(common, own) ** 2
+    greatest = max(float(np.max(np.abs(p.measured[at]))) for _, p, at in known)
+    return math.hypot(math.sqrt(squares / len(owner)), ACCURACY * greatest)

@@ -33,7 +33,7 @@ from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
-from identification.recording import Array, Model, Pendulum, Recording
+from identification.recording import Array, Model, Recording
 from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
@@ -190,8 +190,7 @@ def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged(shor
 def test_what_cannot_be_simulated_is_left_as_it_is() -> None:
     (known,) = unloaded(3.0)
     blind = replace(known, channels={k: v for k, v in known.channels.items() if k != "command"})
-    hanging = replace(known, pendulum=Pendulum(0.1, 0.1))
-    for recording, names in ((blind, SYSTEM), (known, (*SYSTEM, "offset")), (hanging, SYSTEM)):
+    for recording, names in ((blind, SYSTEM), (known, (*SYSTEM, "offset"))):
         assert likelihood_bias(at(TRUTH, [recording], names), SYSTEM, chance()) is None
 
 

@@ -285,6 +285,20 @@ def test_the_gains_are_those_of_the_drive(
     assert found.position_gain * found.integral == pytest.approx(position * integral, rel=0.1)
 
 
+def test_the_drive_carries_a_known_weight() -> None:
+    loop, steady, swing, zero = Loop(60.0, 120.0, 60.0, 400.0, 75.0), -2.0, 9.0, 0.1
+    time = PERIOD * np.arange(8000)
+    command = 0.3 * np.sin(np.pi * time) * np.minimum(time, 1.0)
+    free, laden = (
+        respond(command, PERIOD, NOMINAL, 0.0, 2.0, loop, known=known)
+        for known in ((0.0, 0.0, 0.0), (steady, swing, zero))
+    )
+    carried = swing * np.sin(laden.angle - zero) - steady
+    np.testing.assert_allclose(laden.angle, free.angle, atol=2e-3)
+    moving = np.abs(np.gradient(command, PERIOD)) > 0.3
+    np.testing.assert_allclose((laden.torque - free.torque)[moving], carried[moving], atol=0.3)
+
+
 @pytest.mark.parametrize("lag", [0.0, 0.25e-3])
 def test_how_late_the_torque_is_comes_from_the_delay(lag: float) -> None:
     found = drive_loop([recorded(Loop(60.0, 120.0, 60.0, 400.0, 75.0, STEP, lag))], 75.0, STEP)

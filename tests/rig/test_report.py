@@ -17,9 +17,9 @@ from identification.recording import Bench, Dataset, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.places import write_json
 from rig.common.provenance import Provenance, finite
-from rig.results.document import write_page
+from rig.results.document import text, write_page
 from rig.results.identify.document import identify_document
-from rig.results.identify.identify import Outcome, identification_record
+from rig.results.identify.identify import Outcome, identification_record, outcome_record
 
 RATE = 50.0
 
@@ -121,6 +121,30 @@ def result() -> Identification:
     return Identification(
         "default", "rotary", 2.0, parameters, fit, (stage,), ("slow",), (), {"a": fit}, 80, 0.5
     )
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_model_that_does_not_fit_heads_terminal_report_and_record(dataset: Dataset) -> None:
+    chance = np.random.default_rng(0)
+    found = identify_paper(dataset, bandwidth_Hz=0.5 * RATE, rng=chance, generations=2)
+    good = dataclasses.replace(found, fit=Fit("N m", 40.0, 1.0, 0.01, noise_floor_rms=0.9))
+    fit = Fit("N m", 40.0, 8.0, 0.9, noise_floor_rms=2.0)
+    bounded = Parameter("J", "kg m^2", None, identifiable=False, at_bound=True)
+    parameters = {n: dataclasses.replace(p, at_bound=False) for n, p in found.parameters.items()}
+    bad = dataclasses.replace(found, fit=fit, parameters={**parameters, "J": bounded})
+    outcome = Outcome(dataset, (bad,), provenance())
+    shown = text(identify_document("bench", outcome))
+    assert shown.startswith("This model does not describe this machine\n")
+    for words in ("19 %", "J is at its bound 0", "is 4 times the noise floor", "2 N m"):
+        assert words in shown.replace("\n", " ")
+    outcome = dataclasses.replace(outcome, results=(bad, good))
+    record = outcome_record(outcome)
+    assert record["misfit"] == ["explains_little", "at_bounds", "above_noise_floor"]
+    assert record["fit"]["noise_floor_rms"] == 2.0
+    assert record["fit"]["explained"] == pytest.approx(0.19)
+    good = dataclasses.replace(good, parameters=parameters)
+    silent = text(identify_document("bench", dataclasses.replace(outcome, results=(good,))))
+    assert silent.startswith("parameter")
 
 
 def provenance() -> Provenance:

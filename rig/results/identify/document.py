@@ -20,6 +20,7 @@ from identification.result import (
     Identification,
     KnownConstant,
     MeasuredNoise,
+    Misfit,
     Parameter,
     Profile,
     Trace,
@@ -31,6 +32,7 @@ from rig.results.document import (
     Picture,
     Section,
     Table,
+    Verdict,
     few_of_each_role,
     provenance_section,
     reading_notes,
@@ -591,6 +593,8 @@ def identify_document(
 
 def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
     results = outcome.results
+    if verdicts := _misfits(results):
+        yield Section("", verdicts)
     yield Section("", (parameter_table(results, truth),))
     lines = [*map(_fit_line, results), *_pinned_notes(results)]
     lines += [line for result in results for line in uncertainty_notes(result)]
@@ -612,7 +616,7 @@ def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Se
 
 def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
     results = outcome.results
-    yield Section("", (_lead(outcome),))
+    yield Section("", (*_misfits(results), _lead(outcome)))
     if warnings := _warnings(results):
         yield Section("Warnings", tuple(warnings))
     yield Section("Parameters", tuple(_parameters(results, truth)))
@@ -629,6 +633,45 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield Section("Stages and convergence", (_stage_table(results), *_convergence(results, truth)))
     yield Section("Recordings", tuple(_recordings(outcome, recordings)))
     yield provenance_section(outcome.provenance)
+
+
+_MISFIT_HEADLINES = {
+    Misfit.EXPLAINS_LITTLE: "This model does not describe this machine",
+    Misfit.AT_BOUNDS: "The fit has no friction or no inertia where the model has some",
+    Misfit.ABOVE_FLOOR: "The model leaves more than noise",
+}
+
+
+def _misfits(results: Sequence[Identification]) -> tuple[Verdict, ...]:
+    """Return the verdict on each model that does not describe the recordings."""
+    return tuple(
+        Verdict(
+            _MISFIT_HEADLINES[r.misfit[0]],
+            f"{r.method}: {_misfit_statement(r)}. `rig diagnose` seeks what is missing.",
+            "open",
+        )
+        for r in results
+        if r.misfit
+    )
+
+
+def _misfit_statement(result: Identification) -> str:
+    """Return what is left beside torque and noise floor, and the constants at their bounds."""
+    fit, parts = result.fit, []
+    if Misfit.EXPLAINS_LITTLE in result.misfit:
+        share = percent(100.0 * max(fit.explained, 0.0))
+        parts.append(f"the fit explains {share} of the torque's power")
+    if Misfit.AT_BOUNDS in result.misfit:
+        several = len(result.bounded) > 1
+        words = "are at their bounds 0" if several else "is at its bound 0"
+        parts.append(f"{', '.join(result.bounded)} {words}")
+    if Misfit.ABOVE_FLOOR in result.misfit:
+        parts.append(
+            f"the error, {number(fit.train_rms, 3)} {fit.unit} rms at "
+            f"{number(fit.bandwidth_Hz, 3)} Hz, is {number(fit.floors, 2)} times the noise floor, "
+            f"{number(fit.noise_floor_rms, 3)} {fit.unit}, and the intervals include what is left"
+        )
+    return "; ".join(parts)
 
 
 def _warnings(results: Sequence[Identification]) -> list[Note]:
@@ -659,6 +702,8 @@ def _fit_line(result: Identification) -> str:
             f"; validate {number(fit.validate_rms, 3)} {fit.unit} rms "
             f"({percent(100.0 * fit.validate_relative)})"
         )
+    if fit.noise_floor_rms is not None:
+        line += f"; noise floor {number(fit.noise_floor_rms, 3)} {fit.unit}"
     return f"{line}; {result.evaluations} evaluations, {result.seconds:.1f} s"
 
 

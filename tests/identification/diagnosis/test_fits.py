@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.joint import Added, Joint, fit, with_lower_noise
-from identification.diagnosis.rows import noise, without_tones
 from identification.diagnosis.significance import size_p_value, trial_candidates
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.within_limits import (
@@ -20,6 +19,7 @@ from identification.diagnosis.within_limits import (
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Recording
+from identification.signals import noise, without_tones
 from identification.views.nominal import Nominal
 from identification.views.view import View, views
 
