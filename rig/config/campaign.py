@@ -267,8 +267,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
         if missing:
             yield (
                 ("channels", "voltage"),
-                f"current from voltage, I = (U - Ke omega_motor)/R, needs bench "
-                f"{' and '.join(missing)}",
+                "to compute the current from the voltage, I = (U - Ke omega_motor)/R, state "
+                + " and ".join(f"bench.{name}" for name in missing),
             )
     if bench.motion == "linear" and recording.gravity is not None:
         yield (

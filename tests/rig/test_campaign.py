@@ -143,7 +143,12 @@ LINEAR = "bench: {motion: linear, "
         (FILE, f"{FILE}\n    rate: 100", "5:11: recordings[0].rate: ", "without time"),
         ("angle: 2", "command: 2", "", "no `angle`, `velocity` or `motor_angle`"),
         ("current: 1", "command: 1", "", "no `torque`, `current` or `voltage`"),
-        ("current: 1", "voltage: 1", "", "needs bench resistance and back_emf_constant (got 1)"),
+        (
+            "current: 1",
+            "voltage: 1",
+            "",
+            "state bench.resistance and bench.back_emf_constant (got 1)",
+        ),
         (FILE, f"{FILE}\n    stage: loaded", "5:12: recordings[0].stage: ", "`load_force`"),
         (FILE, f"{FILE}\n    weight_mass: 30.6", "5:18: ", "the stage is unloaded, but"),
         (FILE, f"{FILE}\n    role: validate", "", "at least one must have role fit"),

@@ -258,10 +258,10 @@ def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Do
 
 
 def _summary(found: Simulation) -> Iterator[Section]:
-    at = f"at {number(found.bandwidth_Hz, 3)} Hz"
-    yield Section(f"equation errors {at}, in motion", (_errors_of_equations(found),))
+    bandwidth = f"{number(found.bandwidth_Hz, 3)} Hz"
+    yield Section(f"equation errors at {bandwidth}, in motion", (_errors_of_equations(found),))
     if found.cases:
-        head = f"closed loop, simulated from the first sample; torque {at}"
+        head = f"closed loop, simulated from the first sample; torque filtered to {bandwidth}"
         yield Section(head, (_pooled(found),))
     for line in _left_out(found):
         yield Section("", (Note(line, "aside"),))

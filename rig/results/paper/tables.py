@@ -293,7 +293,7 @@ def _over_seeds(found: Reproduction) -> Exhibit:
         "errors",
         "Tables 1 and 2 over the seeds",
         "One identification of each case; the paper reports no others.",
-        ("Every seed of both methods, and the printed error as a bar.",),
+        ("One point for each seed and method; a bar is the error that the paper states.",),
         (
             Picture.of("errors", "Errors over the seeds", spread(errors, printed, list(PRINTED))),
             Picture.of("stribeck", stribeck, fit_plots.stribeck(first, moments)),
