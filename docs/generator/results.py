@@ -83,6 +83,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.cli.commands.commission:commission_record",
         "rig.commissioning.commission:Commissioning.record",
         "rig.commissioning.record:StepRecord.record",
+        "rig.control.motion_proof:Change.record",
         "rig.wiring.teardown:SafeState.record",
     ),
     "rig jog --json": ("rig.cli.commands.bench:_record", "rig.wiring.teardown:SafeState.record"),
