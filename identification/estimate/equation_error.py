@@ -457,6 +457,7 @@ def _linearised(
             + np.minimum(np.arange(len(residual)) * count // max(len(residual), 1), count - 1)
         )
         blocks += count
+        jacobians.append(np.column_stack(columns))
         residuals.append(residual)
     return _Rows(np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(owners))
 

@@ -188,6 +188,7 @@ class Signals:
         self.torque = self.transmitted + self.known
         self.motor, self.drive_angle, self.lag = m["i"] * angle, angle, None
         self.motor_speed = m["i"] * velocity
+        self.twist = 0.0 * time
         self.rotor_acceleration = np.gradient(velocity, self.step)
         self.index, self.voltage_is_computed = number - 1, False
         bench = _Namespace(

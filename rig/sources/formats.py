@@ -31,9 +31,9 @@ FORMATS: Mapping[str, str] = {
     "parquet": "arrays:ParquetTable",
     "npz": "arrays:NpzTable",
     "npy": "arrays:NpyTable",
-    "json": "json_file:JsonTable",
-    "jsonl": "json_file:JsonLinesTable",
-    "ndjson": "json_file:JsonLinesTable",
+    "json": "text:JsonTable",
+    "jsonl": "text:JsonLinesTable",
+    "ndjson": "text:JsonLinesTable",
 }
 """Module and class of the reader by file extension, without dot and without ``.gz``."""
 SERVED = frozenset({"mat", "h5", "hdf5", "mf4", "mdf", "tdms", "parquet"})

@@ -105,8 +105,8 @@ def test_an_error_in_the_defaults_is_reported_once_where_it_stands(tmp_path: Pat
     ("model", "expected"),
     [
         (
-            "terms: [cogging_torque]",
-            "17: model.terms[0]: unknown effect; did you mean 'cogging'? (got \"cogging_torque\")",
+            "terms: [coging]",
+            "17: model.terms[0]: unknown effect; did you mean 'cogging'? (got \"coging\")",
         ),
         ("terms: [gravity_imbalance]", "a known weight is declared by `gravity:` of a recording"),
         (
