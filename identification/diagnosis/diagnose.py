@@ -64,7 +64,7 @@ from identification.diagnosis.within_limits import (
     long_enough,
     views_and_fit,
 )
-from identification.effects import MOTION
+from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Effect
 from identification.effects.model import CorrectedModel
 from identification.estimate.parameter_table import units_of
@@ -222,6 +222,9 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
                 after = curved
     final = found.final if effects else found.baseline
     place = judged.maps[0].equation if judged.maps else "torque"
+    modelled = {e for effect in effects for e in EFFECTS[effect.name].exported}
+    if effects and place not in modelled:
+        place = next((e.name for e in found.baseline.equations if e.name in modelled), place)
     fits = fits_of(found.baseline, final, before, within, after, bandwidth, place)
     main = next((f for f in fits if f.equation == place), fits[0])
     traces = traces_of(found.baseline, before, after)

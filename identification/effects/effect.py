@@ -315,6 +315,11 @@ class Effect:
         return {e: getattr(self, e, None) or self.torque for e in self.enters}  # type: ignore[attr-defined]
 
     @property
+    def exported(self) -> tuple[str, ...]:
+        """Equations in which the corrected model has the effect."""
+        return self.enters if self.modelled is None else self.modelled
+
+    @property
     def freedom(self) -> int:
         """Number of parameters fitted in addition to the coefficients."""
         return len(self.refine) - (self.size is not None)

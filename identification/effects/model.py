@@ -136,8 +136,7 @@ class CorrectedModel:
         """
         for name, (shape, coefficients) in self._fitted[1].items():
             effect = EFFECTS[name]
-            modelled = effect.enters if effect.modelled is None else effect.modelled
-            columns = {e: c for e, c in effect.columns.items() if e in modelled}
+            columns = {e: c for e, c in effect.columns.items() if e in effect.exported}
             if equation == "torque" and "torque" not in columns and "breakaway" in columns:
                 columns["torque"] = columns["breakaway"]
             if equation in columns:

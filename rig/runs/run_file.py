@@ -45,7 +45,8 @@ _ADDED = {"gas_generator": None}
 firings.
 """
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
-_BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
+_BENCH = {field.name for field in dataclasses.fields(BenchConstants)} - {"supply_voltage"}
+"""Constants that every record states; those of earlier versions have no voltage of the supply."""
 _MUST_HOLD = {
     "inputs": {"file", "sha256"},
     "calibrations": {"device", "id", "due", "overdue"},

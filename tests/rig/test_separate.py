@@ -14,9 +14,12 @@ from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
 from rig.results.diagnose.exports import Room, recipes, separating_sequence
 
-BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
-"""Effects that only another supply voltage, or the encoder moved by hand, splits from their
-likes.
+BY_HAND = {
+    *("inverter_dead_time", "brush_drop", "supply_sag", "constant_torque"),
+    *("encoder_eccentricity", "encoder_slip"),
+}
+"""Effects that only another supply voltage, another load, or the encoder moved by hand, splits from
+their likes.
 """
 
 

@@ -188,7 +188,7 @@ def _probability(names: Sequence[str], found: Sequence[Mapping[str, Any]]) -> fl
     """Return the mean of the greatest confidence in each injected effect, named or a rival."""
     given: dict[str, float] = defaultdict(float)
     for effect in found:
-        for said in (effect, *effect["rivals"]):
+        for said in (effect, *effect.get("rivals", ())):
             given[said["name"]] = max(given[said["name"]], said["confidence"])
     return statistics.fmean(given[name] for name in names)
 
