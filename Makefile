@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
-PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
+PROVE_WORLDS := --plant mujoco --rigs 12 --seed 1500
 
 .PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand one-model
 .DEFAULT_GOAL := help
