@@ -209,7 +209,7 @@ def carried(curve: Curve | None, equation: str, view: View) -> Array:
 def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
     """Return every equation that the recording's channels allow, measured and predicted.
 
-    In the transmission equation the median of the measured less the modelled difference is
+    In the transmission equation the mean of the measured less the modelled difference is
     subtracted for each recording, because the zeros of the two encoders are arbitrary.
     """
     recording = view.recording
@@ -218,7 +218,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
     found = [predicted(view, "torque", model.drive(view), asked, view.moving)]
     if view.lag is not None:
         lag, twist = view.low_pass(view.lag), view.low_pass(model.twist(view))
-        zero, name = float(np.median(lag - twist)), recording.name
+        zero, name = float(np.mean(lag - twist)), recording.name
         found.append(
             Predicted("transmission", name, recording.role, view.kept_times, lag - zero, twist)
         )

