@@ -218,7 +218,8 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
         drawn_curve = curve_of(dataset, before, judged.maps, bandwidth)
         if drawn_curve is not None:
             curved = scores(dataset, replace(before.model, curve=drawn_curve), bandwidth)
-            if not grown(curved, before, drawn_curve.equation):
+            unseen = [m.rms(drawn_curve.equation, "validate") for m in (curved, before)]
+            if unseen[0] is None or unseen[1] is None or unseen[0] <= unseen[1]:
                 after = curved
     final = found.final if effects else found.baseline
     place = judged.maps[0].equation if judged.maps else "torque"
