@@ -253,7 +253,8 @@ def starts_again(values: Array) -> Turn | None:
     clear = float(np.median(noise)) / np.sqrt(SLOPE_SAMPLES)
     ways = np.sign(slopes) * (np.abs(slopes) > clear)
     against = -np.sign(steps[rows]) * np.where(ways[0] == ways[1], ways[0], 0.0)
-    if np.sum(against) < 1.0:
+    # Moves between two places from rest also jump; a position that starts again does so in motion.
+    if 2.0 * np.sum(against) <= len(rows):
         return None
     near = np.stack([np.clip(rows + k, 0, len(steps) - 1) for k in (-1, 1)])
     moved = np.where(np.isin(near, rows), np.nan, steps[near])

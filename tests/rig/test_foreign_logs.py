@@ -675,3 +675,12 @@ def test_decimal_commas_when_told(tmp_path: Path) -> None:
     np.testing.assert_array_equal(x, [-1250.0, 2.5])
     headless = delimited(tmp_path, "0,5;1,5\n1,0;2,5\n", ReadSection(decimal=","))
     np.testing.assert_array_equal(headless.read([1])[0], [1.5, 2.5])
+
+
+def test_moves_from_rest_between_two_places_are_no_turns() -> None:
+    rng = np.random.default_rng(0)
+    places = np.repeat(np.tile([203.0, 150.0], 12), 12) + np.repeat(rng.integers(-4, 14, 24), 12)
+    # One of the moves begins in slow motion against it.
+    places[130:132] += [-1.0, -2.0]
+    assert starts_again(places) is None
+    assert starts_again(np.mod(7.0 * np.arange(300.0), 360.0)) is not None
