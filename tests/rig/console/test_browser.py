@@ -323,6 +323,8 @@ def test_a_run_is_stopped_in_a_pause_and_continued_to_its_verdict(
     expect(made.value.locator("body")).to_contain_text("ACCEPTED")
 
 
+# The network process of the browser sometimes does not come back from the loss that is emulated.
+@pytest.mark.proof
 def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     opened: Callable[..., Page], where: Place, console: Served
 ) -> None:
