@@ -8,12 +8,14 @@ import shutil
 import signal
 from collections.abc import Callable, Iterator
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from .histories import write_history
+from .network import Network
 from .processes import WAIT_S, Place, Served, place, served, wait_until
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -34,12 +36,20 @@ STOPPED_S = 30.0
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+def network(console: Served) -> Iterator[Network]:
+    with Network(urlsplit(console.address).port or 0) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def browser(network: Network) -> Iterator[Browser]:
     found = next((path for name in CHROMIUM if (path := shutil.which(name))), None)
     if found is None:
         pytest.skip(f"no Chromium is installed: none of {', '.join(CHROMIUM)}")
     with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=found, args=list(ARGUMENTS))
+        launched = playwright.chromium.launch(
+            executable_path=found, args=[*ARGUMENTS, f"--host-resolver-rules={network.rule}"]
+        )
         yield launched
         launched.close()
 
@@ -51,9 +61,10 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture
-def where(console: Served) -> Iterator[Place]:
+def where(console: Served, network: Network) -> Iterator[Place]:
     """The place of the console; its runs end with the test."""
     yield console.place
+    network.find()
     # A test that failed may have left the console suspended.
     console.process.send_signal(signal.SIGCONT)
     console.place.stop_all()
@@ -323,10 +334,8 @@ def test_a_run_is_stopped_in_a_pause_and_continued_to_its_verdict(
     expect(made.value.locator("body")).to_contain_text("ACCEPTED")
 
 
-# The network process of the browser sometimes does not come back from the loss that is emulated.
-@pytest.mark.proof
 def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
-    opened: Callable[..., Page], where: Place, console: Served
+    opened: Callable[..., Page], where: Place, console: Served, network: Network
 ) -> None:
     child = where.run(where.sequence("long", LONG_S), "--yes", "--realtime")
     closed = opened()
@@ -345,7 +354,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     lost = opened()
     expect(lost.locator("#holder")).to_contain_text("This page")
     expect(lost.locator("#chart-angle .chart-now")).not_to_be_empty()
-    lost.context.set_offline(True)
+    network.lose()
     lost.keyboard.press("Space")
     alarm = lost.locator("#alerts .alarm", has_text="STOP was NOT confirmed")
     expect(alarm).to_have_attribute("role", "alert")
@@ -373,7 +382,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     size = growth(where)
     wait_until(lambda: growth(where) > size)
     console.process.send_signal(signal.SIGCONT)
-    lost.context.set_offline(False)
+    network.find()
     expect(lost.locator("#contact")).to_contain_text("live")
     in_phase(lost, "excite")
     assert len([r for r in where.records() if r["state"] == "running"]) == 1
