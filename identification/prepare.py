@@ -37,10 +37,7 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     is zero where p_g is below the downstream pressure p_c0. In all other cases F_P is the force of
     the weight (eq. 17).
 
-    Args:
-        recording: The recording.
-        grid: Times, s, shape (n,).
-        angle: Valve angle at those times, rad, shape (n,).
+    ``angle``: valve angle at those times, rad, shape (n,).
 
     Raises:
         RecordingError: The recording is a hot firing and the bench has no gas generator.
@@ -94,13 +91,9 @@ IRREGULAR, STANDS_OUT = 0.25, 8.0
 median interval, and as a multiple of the median absolute deviation.
 """
 LEAST_CLEAN = 0.1
-"""Samples near a late or missing sample are removed only if at least this share of the moving
-samples remains.
-"""
+"""Samples near a bad sample are removed if this share of the moving samples remains."""
 REST_SAMPLES = 8
-"""Number of successive samples over which the angle of a joint at rest changes by at most one
-encoder step.
-"""
+"""Successive samples at rest over which the angle changes by at most one step."""
 
 
 @dataclass(frozen=True)
@@ -170,9 +163,7 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def finer_joint(recording: Recording) -> bool:
-    """Whether the joint angle was recorded, and with finer steps than a recorded motor angle has at
-    the joint.
-    """
+    """Whether the joint angle is recorded with finer steps than the motor angle."""
     joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
     if joint is None or motor is None:
         return joint is not None
@@ -229,9 +220,7 @@ def drive_channel(recording: Recording) -> str:
 
 
 def volts_per_torque(recording: Recording) -> float | None:
-    """Return the armature voltage R I for one unit of joint torque, V, if the torque is computed
-    from the voltage; else None.
-    """
+    """Return the voltage R I per joint torque, if the voltage gives the torque; else None."""
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
     return recording.bench.resistance / recording.bench.ampere_torque
@@ -296,9 +285,7 @@ def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolAr
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks widened by ``samples`` on either side, where the outputs of a position
-    filter depend on samples at rest and in motion.
-    """
+    """Return the marks widened to where a filter sees both rest and motion."""
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 

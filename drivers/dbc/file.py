@@ -45,11 +45,9 @@ class Layout:
     """One message of a DBC.
 
     Attributes:
-        name: Name in the DBC.
         identifier: CAN identifier; bit 31 is set if the identifier has 29 bits.
         size: Number of bytes.
         period_s: Cycle time in the DBC (``GenMsgCycleTime``), s, or None if the DBC has none.
-        signals: Signals by name.
         obstacle: Reason why the message cannot be used; empty if it can be used.
     """
 

@@ -144,10 +144,7 @@ def identification(
 ) -> Identification:
     """Return the result of the default method.
 
-    Args:
-        dataset: The dataset that was identified.
-        prepared: Every recording with its pieces; traces contain the first piece only.
-        found: The estimate, with all stages and warnings.
+    ``prepared``: every recording with its pieces; traces contain the first piece only.
     """
     model = dataset.model
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
@@ -322,9 +319,7 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names of the parameters to estimate: all that are not fixed and belong to a
-    friction term of the model.
-    """
+    """Return the names of the parameters to estimate: not fixed, and in a friction term."""
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
@@ -333,14 +328,10 @@ def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
 
 
 LONG_SAMPLES = 200_000
-"""Number of samples to fit, over all recordings, above which recordings are processed in pieces;
-with fewer samples, processing without pieces is faster.
-"""
+"""Number of samples to fit above which recordings are processed in pieces, which is faster."""
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
-"""Number of samples before the end of a piece in which a rest is searched, at which the recording
-is cut.
-"""
+"""Number of samples before the end of a piece in which a rest is searched for the cut."""
 
 
 def identify_any_length(
@@ -354,9 +345,6 @@ def identify_any_length(
 ) -> Identification:
     """Identify by the default method, piece by piece if the recordings are long; the arguments are
     those of :func:`default.identify`.
-
-    Raises:
-        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
     fitted = dataset.part("fit")
     if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
@@ -379,9 +367,7 @@ def identify_any_length(
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests if possible; the
-    channels of a piece are views of those of the recording.
-    """
+    """Cut a recording into views of about ``PIECE_SAMPLES`` samples, at rests if possible."""
     n, start = len(recording.time), 0
     found = []
     while start < n:
@@ -399,9 +385,6 @@ def identify_long(
     """Identify piece by piece; memory in addition to the recordings grows by 14 bytes per sample.
 
     Traces cover the first piece of each recording only.
-
-    Raises:
-        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
     started = perf_counter()
     tell = progress or silent

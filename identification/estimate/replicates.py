@@ -79,12 +79,8 @@ def likelihood_bias(
     determine the drive loop or a gas generator is the load, or if the filter diverges on the
     replicates.
 
-    Args:
-        joint: The estimate.
-        names: Names of the fitted parameters.
-        rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
-        settings: Number of noise series, and criteria for repetitions and dropped replicates.
-        progress: Called with every pair of replicates.
+    ``rng``: the generator of the noise is spawned from ``rng``, whose stream does not advance.
+    ``settings``: number of noise series, and criteria for repetitions and dropped replicates.
     """
     loop = _loop(joint.motions, settings.headroom)
     if loop is None or OFFSET in joint.free:
@@ -142,11 +138,7 @@ def logged_share(
     torque beyond the drive's response to this motion is measurement noise. If the response is
     greater than the noise, the function returns ``unseen``.
 
-    Args:
-        joint: The estimate.
-        loop: The drive loop.
-        rng: Random generator of the noise to which the simulated drive responds.
-        unseen: Logged share that is assumed if the recordings do not determine it.
+    ``unseen``: logged share that is assumed if the recordings do not determine it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:

@@ -72,9 +72,7 @@ class _Criterion:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
-        """Return the normal matrix and the gradient of the criterion, shape (p, p) and (p,), and
-        the normal equations of the Huber cost alone.
-        """
+        """Return normal matrix (p, p), gradient (p,), and normal equations of the Huber cost."""
         cost = self.held.jacobian(x, residual).eliminated(
             residual, huber_weight(residual, HUBER_THRESHOLD)
         )
@@ -115,13 +113,7 @@ def profiles(
     units: Mapping[str, str],
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Profile, ...]:
-    """Return the profile of every parameter of a refined estimate.
-
-    Args:
-        refined: The estimate.
-        units: Parameter name to unit.
-        progress: Called with the share done.
-    """
+    """Return the profile of every parameter of a refined estimate."""
     joint = refined.joint
     criterion = _Criterion(joint)
     names = refined.names
@@ -276,13 +268,6 @@ def bootstrap(
 ) -> tuple[Resampled, ...]:
     """Return the spread of every parameter over bootstrap draws of each recording's segments.
 
-    Args:
-        refined: The estimate.
-        units: Parameter name to unit.
-        draws: Number of bootstrap draws.
-        rng: Random generator for the draws.
-        progress: Called with the share of the draws that is done.
-
     Returns:
         One result per parameter; its bounds are None if the equations of fewer than half of the
         draws were solved.
@@ -348,9 +333,7 @@ class _Equations:
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the left sides of the equations and their derivatives, shapes (x,) and (x, x),
-        with each segment counted ``counts`` times.
-        """
+        """Return the equations (x,) and derivatives (x, x), segments counted ``counts`` times."""
         weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
         if self.inertia is not None:
@@ -360,9 +343,7 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves the equations with each segment counted ``counts``
-        times, or None if the search does not converge.
-        """
+        """Return the solution with segments counted ``counts`` times; None if it diverges."""
         x = self.origin.copy()
         residual, jacobian = self.begun
         for _ in range(_ROUNDS):

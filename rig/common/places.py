@@ -41,11 +41,7 @@ def require_plain(path: Path) -> None:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a regular file.
-
-    Raises:
-        OSError: The file cannot be read; ``strerror`` states the reason.
-    """
+    """Return the content of a regular file."""
     require_plain(path)
     return path.read_bytes()
 
@@ -182,21 +178,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step.
-
-    Raises:
-        OSError: The file cannot be written; an earlier version is kept.
-    """
+    """Write a text file in one step."""
     with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
         stream.write(valid(text))
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write JSON in one step.
-
-    Raises:
-        OSError: The file cannot be written; an earlier version is kept.
-    """
+    """Write JSON in one step."""
     text = json.dumps(record, indent=1)
     if "\\ud" in text:
         # The text may have undecoded bytes as lone surrogates, which strict JSON readers refuse.

@@ -261,10 +261,8 @@ def csv_rows(text: str, path: Path, rename: Mapping[str, str] = MappingProxyType
     the semicolon, tab or comma that the header has. Lines that are empty or begin with ``#`` are
     left out.
 
-    Args:
-        text: Content of the file.
-        path: The file, for the places of the values.
-        rename: Keys, with dots, of columns whose names are not the keys.
+    ``path``: the file, for the places of the values. ``rename``: keys, with dots, of columns whose
+    names are not the keys.
 
     Raises:
         DocumentError: The text is not CSV, the header is empty or has equal names, or the number of

@@ -53,9 +53,7 @@ class FrictionModel:
 def friction_model(
     bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
 ) -> FrictionModel:
-    """Return the friction ``named``, else the newest result in ``runs`` of such a bench, or the
-    paper.
-    """
+    """Return the friction ``named``, else the newest in ``runs`` of the bench, or the paper's."""
     if named is not None:
         return _identified(named, bench)
     newest: list[tuple[float, Path]] = []

@@ -32,8 +32,6 @@ class Table:
     """A table with text cells.
 
     Attributes:
-        header: Column titles.
-        rows: Cells, row by row.
         right: Indices of the columns of numbers.
     """
 
@@ -127,8 +125,6 @@ class Document:
     """Output of a command as a summary and in full.
 
     Attributes:
-        title: Heading.
-        subtitle: Line below the heading.
         summary: Summary for the terminal; blank lines separate its sections.
         sections: Full content for the page; empty if there is no page.
         facts: Name and value of the facts at the top of the page, such as bench, date and operator.
@@ -257,11 +253,7 @@ PAGE_FILE = "report.html"
 
 
 def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) -> None:
-    """Write a result file into its folder, which is created, and a copy if requested.
-
-    Raises:
-        InputError: A path cannot be written.
-    """
+    """Write a result file into its folder, which is created, and a copy if requested."""
     with _writing(*filter(None, (file.parent, json_file))):
         file.parent.mkdir(parents=True, exist_ok=True)
         for path in filter(None, (file, json_file)):
@@ -269,11 +261,7 @@ def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) 
 
 
 def write_page(document: Document, file: Path) -> None:
-    """Write a document as a page, with its pictures embedded and as files in ``figures``.
-
-    Raises:
-        InputError: The folder cannot be written.
-    """
+    """Write a document as a page, with its pictures embedded and as files in ``figures``."""
     with _writing(file.parent):
         (file.parent / "figures").mkdir(parents=True, exist_ok=True)
         for picture in document.pictures():
@@ -282,11 +270,7 @@ def write_page(document: Document, file: Path) -> None:
 
 
 def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write text files into a folder, by their paths relative to the folder.
-
-    Raises:
-        InputError: The folder cannot be written.
-    """
+    """Write text files into a folder, by their paths relative to the folder."""
     with _writing(folder):
         for name, text in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)

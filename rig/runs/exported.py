@@ -74,11 +74,7 @@ class Described(BaseModel):
     def recording(
         self, channels: Mapping[str, Array], bench: Bench, source: str, sha256: str
     ) -> Recording:
-        """Return the recording.
-
-        Raises:
-            RecordingError: Channels and description do not fit together.
-        """
+        """Return the recording."""
         kept = {name: getattr(self, name) for name in _COPIED}
         return Recording(
             channels=channels,

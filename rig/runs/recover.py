@@ -46,7 +46,6 @@ class Recovery:
 
     Attributes:
         damage: Message on each damaged file, which begins with the name of the file.
-        samples: Number of samples after the recovery.
         record: ``run.json`` after the recovery.
         changed: Whether a file was written.
         taken_over: Program that had left the folder locked, or None for none.
@@ -63,10 +62,8 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
     """Lock a run folder, and repair it with :func:`mend`.
 
     Raises:
-        InputError: No recording is readable, or the folder has the files of an earlier recovery.
         InUseError: The run is in progress, or another program uses the folder.
         StorageError: The folder cannot be locked.
-        OSError: The folder cannot be written.
     """
     with hold_folder(folder, purpose) as lock:
         return dataclasses.replace(mend(folder), taken_over=lock.taken_over)
@@ -234,7 +231,6 @@ class Resumption:
         record: ``run.json``, completed.
         bench: The bench file of the run, which is unchanged.
         sequence: The sequence file of the run, which is unchanged.
-        stage: Index of the stage with which the run continues.
         mended: Messages on recordings whose writer died.
         died: Whether the writer of the last recording died, so that the drive's watchdog stopped
             the drive.

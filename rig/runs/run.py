@@ -105,13 +105,9 @@ CHANNELS = (
     "temperature",
 )
 MOST_SAMPLES = 5_000_000
-"""Number of samples of one recording above which the channels :data:`LEFT_OUT` are not read; ten
-hours at 1 kHz fit into 4 GiB without these channels.
-"""
+"""Samples above which :data:`LEFT_OUT` are not read; ten hours at 1 kHz fit into 4 GiB."""
 _MOST_PER_BYTE = 4
-"""Greatest number of samples per byte of a recording, because LZ4 packs 255 bytes into 1; a
-``run.json`` that states more samples is wrong.
-"""
+"""Most samples per byte of a recording (LZ4: 255 to 1); a record with more is wrong."""
 
 Samples = dict[str, Array]
 
@@ -121,13 +117,7 @@ def by_segment(
 ) -> tuple[dict[int, Samples], str | None]:
     """Return the samples by index of the segment, including stale samples, and a message on damage.
 
-    Args:
-        path: The recording.
-        segments: The requested segments.
-        whole: Whether the recording was closed regularly, so that it can be streamed.
-
-    Raises:
-        InputError: The file cannot be opened or is not a recording.
+    ``whole``: whether the recording was closed regularly, so that it can be streamed.
     """
     most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
     expected = {s.index: min(s.samples, most) for s in segments}
@@ -215,9 +205,7 @@ RESERVE_FILE = ".reserve"
 """File of a run in progress whose space is used for ``run.json`` if the disk is full."""
 RESERVED_BYTES = 1 << 20
 CYCLE_BYTES = 400
-"""Greatest size of a control cycle in a recording; measured: 220 bytes over CAN, 330 over serial
-lines.
-"""
+"""Greatest size of a recorded cycle; measured: 220 bytes over CAN, 330 over serial."""
 _MARGIN_BYTES = 16 << 20
 """Space for the page, results and ``run.json``."""
 
@@ -258,11 +246,7 @@ class RunFolder:
         return self.path / self.record.parts[-1].file
 
     def save(self) -> None:
-        """Replace ``run.json`` as a whole, so that no reader sees an incomplete file.
-
-        Raises:
-            StorageError: The file cannot be written; the previous version is kept.
-        """
+        """Replace ``run.json`` as a whole, so that no reader sees an incomplete file."""
         try:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
         except OSError as error:
@@ -273,9 +257,6 @@ class RunFolder:
     def reserve(self) -> None:
         """Occupy the space for the last version of ``run.json``, until :meth:`ended`, so that the
         state of a run that ended because the disk is full can be stored.
-
-        Raises:
-            StorageError: The disk has no space for it.
         """
         try:
             (self.path / RESERVE_FILE).write_bytes(bytes(RESERVED_BYTES))
@@ -413,10 +394,8 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     Samples whose answer was incomplete are left out, with a note in the recording. If a stage was
     run more than once, its last run counts.
 
-    Args:
-        folder: The run folder.
-        partial: Whether to also take unfinished excitations, up to their last fresh sample;
-            excitations that are too short for a recording are left out.
+    ``partial``: whether to also take unfinished excitations, up to their last fresh sample;
+    excitations that are too short for a recording are left out.
 
     Raises:
         InputError: The folder is not a run, its recording is unreadable, or no stage was finished

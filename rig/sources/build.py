@@ -224,9 +224,6 @@ def build(
     Returns:
         One recording per piece without gaps, with its corrections as notes, and the time span of
         the whole file, also outside the window.
-
-    Raises:
-        InputError: A column or a sample in the window is missing, or the data cannot be used.
     """
     unsure = document.value.bench.uncertainties()
     if section.moment_arm is not None:

@@ -346,9 +346,6 @@ def read_channels(
     Returns:
         Canonical channels in SI units, all of shape (n,), including the time; the number of rows of
         the file before the first used row; and notes.
-
-    Raises:
-        InputError: A column is missing or has no numbers, or the columns have no common rows.
     """
     columns, notes = _columns(table, section, document, index)
     # A column may feed several channels; it is read once.

@@ -44,7 +44,7 @@ class Column:
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
         turn: Change after which the column starts again, where a campaign must state it.
-        strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
+        course: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
     name: str
@@ -54,13 +54,13 @@ class Column:
     scale: float
     samples: int
     missing: int
-    low: float
-    high: float
+    least: float
+    greatest: float
     step: float
     flicker: float
     wrap: str
     problem: str
-    strip: tuple[float, ...]
+    course: tuple[float, ...]
     turn: float | None = None
 
 
@@ -70,11 +70,11 @@ class Clock:
 
     column: int
     scale: float
-    period: float
-    low: float
-    high: float
+    period_s: float
+    low_s: float
+    high_s: float
     gaps: int
-    longest: float
+    longest_s: float
     backwards: int
     repeated: int
 
@@ -155,8 +155,8 @@ def _doubts(
     if "time" not in used:
         return ()
     clock = _clock(used["time"], data[used["time"]], guesses["time"].scale)
-    doubt = other_unit(clock.period) if clock is not None else ""
-    first = (doubt,) if doubt else ()
+    doubt = other_unit(clock.period_s) if clock is not None else ""
+    first = tuple(filter(None, [doubt]))
     try:
         raw, _, _ = on_one_time(table, used, data, {})
     except InputError as error:
@@ -234,14 +234,17 @@ def _column(
         scale=size,
         samples=len(values),
         missing=len(values) - len(known),
-        low=float(known.min()) if known.size else nan,
-        high=float(known.max()) if known.size else nan,
+        least=float(known.min()) if known.size else nan,
+        greatest=float(known.max()) if known.size else nan,
         step=step,
         flicker=_flicker(known, step),
         wrap=note,
         turn=None if turn is None else turn.after,
         problem="",
-        strip=_strip(values),
+        course=tuple(
+            float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else nan
+            for part in np.array_split(values, min(STRIP, len(values)))
+        ),
     )
 
 
@@ -262,12 +265,6 @@ def _flicker(known: Array, step: float) -> float:
     back = (np.abs(steps[:-1]) == 1) & (steps[1:] == -steps[:-1])
     share = float(np.mean(back))
     return share if share > FLICKER_SHARE else 0.0
-
-
-def _strip(values: Array) -> tuple[float, ...]:
-    parts = np.array_split(values, min(STRIP, len(values)))
-    means = [part[np.isfinite(part)] for part in parts]
-    return tuple(float(part.mean()) if part.size else float("nan") for part in means)
 
 
 def _clock(column: int, values: Array, scale: float) -> Clock | None:

@@ -28,9 +28,7 @@ UNEVEN_SHARE = 0.05
 UNEVEN = "uneven sampling kept as recorded"
 """Beginning of the note on uneven sampling."""
 PERIODS_S = (2e-6, 0.5)
-"""Least and greatest median sample period, s, of a log of a drive; beyond, the time has another
-unit.
-"""
+"""Median sample periods, s, of a drive's log; beyond, the time has another unit."""
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 USUAL_PERIODS_S = (4e-5, 0.5)
 """Least and greatest sample period that a unit must give to be named."""

@@ -133,17 +133,10 @@ def ask_all(
 ) -> Answers:
     """Return the answer to every question that applies.
 
-    Args:
-        questions: The questions in order.
-        given: Answers given as options, by name, or None for options not given.
-        asker: Asks the user the other questions; None to use the defaults.
-        tell: Shows what is wrong with an answer. With an ``asker``, a refused option is reported
-            and asked for again, so that no typed answer is lost.
-        before: Answers of an earlier round, used as defaults.
-
-    Raises:
-        InputError: A question without default is not answered, or an option is refused or does not
-            apply, in which case the message lists all; or the input ended.
+    ``given``: answers given as options, by name, or None for options not given. ``asker``: asks the
+    user the other questions; None to use the defaults. ``tell``: shows what is wrong with an
+    answer. With an ``asker``, a refused option is reported and asked for again, so that no typed
+    answer is lost. ``before``: answers of an earlier round, used as defaults.
     """
     answers: Answers = {}
     problems: list[str] = []

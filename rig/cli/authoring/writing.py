@@ -26,11 +26,7 @@ def _first_line(kind: str) -> str:
 
 
 def write_schema(kind: str, folder: Path) -> Path:
-    """Write a schema into a folder; an earlier schema of this program is replaced. Return the path.
-
-    Raises:
-        InputError: The schema cannot be written, or another file of that name is there.
-    """
+    """Write a schema into a folder, over an earlier one of this program; return the path."""
     path = folder / f"{kind}.schema.json"
     _require_schema_place(path)
     try:
@@ -88,11 +84,7 @@ class RefusedError(InputError):
 
 
 def require_new(path: Path, kind: str) -> None:
-    """Check, before any question, that a file and its schema can be written.
-
-    Raises:
-        InputError: The file exists already, its folder does not exist, or it cannot be written.
-    """
+    """Check, before any question, that a file and its schema can be written."""
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(
             f"{path}: the name must end in .yaml, because the commands that read the file expect "
@@ -108,15 +100,7 @@ def require_new(path: Path, kind: str) -> None:
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
-    """Write a file that was made from answers, and its schema.
-
-    Returns:
-        Description of the written files.
-
-    Raises:
-        RefusedError: The answers give no valid file.
-        InputError: A file cannot be written.
-    """
+    """Write a file that was made from answers, and its schema; return their paths."""
     require_new(path, kind)
     try:
         with replacing(path) as draft:

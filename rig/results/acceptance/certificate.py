@@ -417,11 +417,7 @@ class Acceptance:
 
 
 def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:
-    """Judge a run, and write result file, certificate and seal into its folder.
-
-    Raises:
-        InputError: The folder is not a run folder, or cannot be written.
-    """
+    """Judge a run, and write result file, certificate and seal into its folder."""
     evidence = gather(folder, limits, progress)
     progress("writing the certificate", 1.0)
     checks = judge(limits, evidence)
@@ -446,11 +442,7 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step.
-
-    Raises:
-        InputError: The file cannot be written; an earlier version is kept.
-    """
+    """Write a file in one step."""
     try:
         with replacing(path) as draft:
             draft.write_bytes(content)

@@ -77,9 +77,6 @@ class RunFigures:
 def figures_of(folder: Path) -> RunFigures:
     """Return the measured values of a run. Values of excitations are None if no excitation was
     finished.
-
-    Raises:
-        InputError: The folder is not a run folder.
     """
     record = read_record(folder)
     dataset, problem = None, ""

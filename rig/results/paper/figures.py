@@ -115,11 +115,7 @@ def _csv(rows: Rows) -> str:
 
 
 def true_machine(name: str) -> Machine:
-    """Return the simulated machine of a packaged bench.
-
-    Raises:
-        ValueError: The bench has no simulated machine.
-    """
+    """Return the simulated machine of a packaged bench."""
     machine = load_bench(name).value.mock
     if machine is None:
         raise ValueError(f"the packaged bench {name!r} has no simulated machine")
@@ -643,9 +639,7 @@ def _settling(found: Firing) -> str:
 PAPER_DEG_S = 50.0
 """Opening speed in the paper, deg/s."""
 SLOW_DEG_S = 5.0
-"""Speed, deg/s, at which the pressure follows the throat area within 7 % and the joint does not
-stick.
-"""
+"""Speed, deg/s: the pressure follows within 7 %, and the joint does not stick."""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 STEADY = 0.05

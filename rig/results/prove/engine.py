@@ -80,21 +80,13 @@ class Bundle(NamedTuple):
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:
-    """Return all files of a folder and of the folders in it, in order of their names.
-
-    Raises:
-        OSError: A file cannot be read.
-    """
+    """Return all files of a folder and of the folders in it, in order of their names."""
     found = sorted(f for f in folder.rglob("*") if is_file(f))
     return {f.relative_to(folder).as_posix(): read_bytes(f) for f in found}
 
 
 def write_folder(folder: Path, files: Files) -> None:
-    """Write files into a folder, in their order, each by one rename.
-
-    Raises:
-        OSError: A file cannot be written.
-    """
+    """Write files into a folder, in their order, each by one rename."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,9 +121,6 @@ def bundle(campaign: Path) -> Bundle:
 def unpacked(given: Path | Bundle) -> Iterator[Path]:
     """Yield the path of a campaign file; the files of a bundle are first written into a temporary
     folder.
-
-    Raises:
-        OSError: A file cannot be written.
     """
     if isinstance(given, Path):
         yield given
@@ -242,9 +231,6 @@ def _end_with_parent() -> None:
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
     """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
     end with the context.
-
-    Raises:
-        InputError: More than one of the options is given, or the cluster cannot be used.
     """
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
         raise InputError(

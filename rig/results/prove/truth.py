@@ -155,8 +155,6 @@ class Sealed(NamedTuple):
 
     Attributes:
         name: Name of the rig; that of a trial of this program is its number, from 0001.
-        campaign: Campaign file.
-        truth: File of the truth.
         digest: SHA-256 of the truth's file.
     """
 
@@ -184,11 +182,7 @@ def place_of_trial(out: Path, number: int, digest: str = "") -> Sealed:
 
 
 def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
-    """Write and seal the truth of one rig; return the rig with its digest.
-
-    Raises:
-        OSError: The truth cannot be written.
-    """
+    """Write and seal the truth of one rig; return the rig with its digest."""
     where.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {"truth": 1, "rig": rig, "outside": strangers(truth["effects"]), **truth}
     return where._replace(digest=seal(where.truth, content, salt))

@@ -82,9 +82,7 @@ STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
 PAUSES = frozenset({"stage end", "stage start", "units", "weight check"})
-"""Events after which the control cycle rests or restarts, so that the time step to the next sample
-does not count as lateness.
-"""
+"""Events after which the cycle rests or restarts: the next step is no lateness."""
 _GAP_CYCLES = 10.0
 """Number of consecutive missing cycles from which on the curve is interrupted."""
 _CODES: Mapping[ServoState, str] = {
@@ -245,9 +243,7 @@ def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
 
 
 TAIL_S = 8.0
-"""Time at the end of a recording that is kept sample by sample, s; braking takes up to 1 s of this
-time.
-"""
+"""Time at the end of a recording that is kept sample by sample, s; braking takes 1 s."""
 COLUMNS = 1000
 """Number of columns for which a recording is reduced: one or two intervals of time a column."""
 
@@ -388,9 +384,7 @@ def _reduced(decimation: Decimation, powered: Sequence[tuple[float, float]]) -> 
 
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
-"""Events that end a first pass; if a run ends during a first pass, the limits of the first pass
-hold to the end.
-"""
+"""Events that end a first pass; without one its limits hold to the end."""
 RUN_ATTACHMENT = "run.json"
 """Name of the attached record of a run, as the record was at the start."""
 _SAME = 1e-9

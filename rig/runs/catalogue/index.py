@@ -124,11 +124,7 @@ class Listing(NamedTuple):
 
 
 def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) -> Listing:
-    """Return the runs in and below a folder, from the index if the index is current.
-
-    Raises:
-        InputError: The folder cannot be searched.
-    """
+    """Return the runs in and below a folder, from the index if the index is current."""
     try:
         found = list(find_runs(root))
     except OSError as error:
