@@ -129,11 +129,12 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
             f"({dropped} samples)"
         )
     if not long:
+        doubt = other_unit(median)
         raise UnusableError(
             f"{gaps.size} gaps leave no span of {MIN_SAMPLES} samples (median period "
             f"{median:.4g} s, a gap is longer than {GAP_PERIODS:g} median periods); record with an "
             "even rate, or write the log again with its gaps filled at even times and map that file"
-            f"{_and(other_unit(median))}",
+            + (f"; {doubt}" if doubt else ""),
             int(gaps[0]) + 1,
         )
     return long, notes
@@ -165,10 +166,6 @@ def other_unit(period: float) -> str:
         for unit, scale in units
     ]
     return f"median period {period:.4g} s: " + (" or, ".join(remedies) or "check its scale")
-
-
-def _and(doubt: str) -> str:
-    return f"; {doubt}" if doubt else ""
 
 
 def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> tuple[Array, int]:

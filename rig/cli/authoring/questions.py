@@ -94,10 +94,6 @@ class Question:
         """The question with the unit of the answer."""
         return f"{self.words}, {self.unit}" if self.unit else self.words
 
-    def default_for(self, answers: Mapping[str, Any]) -> Any:
-        """Return the default after the earlier answers, or None if the question has no default."""
-        return self.default(answers) if callable(self.default) else self.default
-
 
 def shown(value: Any) -> str:
     """Return an answer in the form in which a user types it."""
@@ -147,7 +143,8 @@ def ask_all(
             if value is not None:
                 refuse(f"{question.option}: does not apply to the other choices; leave it out")
             continue
-        default = before.get(question.name, question.default_for(answers))
+        default = question.default
+        default = before.get(question.name, default(answers) if callable(default) else default)
         reason = None if value is None else question.refusal(value)
         if reason is not None:
             refuse(f"{question.option}: {reason}")

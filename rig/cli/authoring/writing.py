@@ -20,11 +20,6 @@ FOLDER: Final = "schemas"
 _OWN: Final = '"$id": "urn:loadrig:'
 
 
-def _first_line(kind: str) -> str:
-    """Return the comment that names a file's schema, relative to the file."""
-    return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
-
-
 def write_schema(kind: str, folder: Path) -> Path:
     """Write a schema into a folder, over an earlier one of this program; return the path."""
     path = folder / f"{kind}.schema.json"
@@ -104,7 +99,8 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
     require_new(path, kind)
     try:
         with replacing(path) as draft:
-            draft.write_text(f"{_first_line(kind)}\n{body}", encoding="utf-8")
+            schema_line = f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
+            draft.write_text(f"{schema_line}\n{body}", encoding="utf-8")
             try:
                 load(draft)
             except InputError as error:

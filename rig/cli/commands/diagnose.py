@@ -13,12 +13,6 @@ from rig.cli import options as shared
 @click.argument("source", type=click.Path(path_type=Path))
 @shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
 @click.option(
-    "--refine/--no-refine",
-    default=None,
-    hidden=True,
-    help="Has no effect: the program decides by the number of samples whether to refine.",
-)
-@click.option(
     "--gas",
     is_flag=True,
     help="Diagnose the gas generator, from pressure and valve angle; needed only if the "
@@ -40,7 +34,6 @@ from rig.cli import options as shared
 def diagnose(
     source: Path,
     bandwidth: float | None,
-    refine: bool | None,
     gas: bool,
     observable: bool,
     partial: bool,
@@ -65,10 +58,6 @@ def diagnose(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
-    if refine is not None:
-        click.echo(
-            "note: --refine and --no-refine have no effect; leave these options out", err=True
-        )
     if observable:
         if gas:
             raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
