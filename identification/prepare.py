@@ -38,9 +38,6 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     the weight (eq. 17).
 
     ``angle``: valve angle at those times, rad, shape (n,).
-
-    Raises:
-        RecordingError: The recording is a hot firing and the bench has no gas generator.
     """
     generator = recording.bench.gas_generator
     if "load_force" in recording.channels:
@@ -61,9 +58,6 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
     those of :func:`contact_force`.
-
-    Raises:
-        RecordingError: As in :func:`contact_force`; or a loaded recording has no moment arm.
     """
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm
@@ -177,9 +171,6 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     The torque is computed from the torque channel; without a torque channel from the current;
     without a current from the voltage, with I = (U - Ke omega_motor)/R, and I = 0 while the power
     stage is off. Averaged channels are shifted by half a period.
-
-    Raises:
-        RecordingError: No channel gives the torque.
     """
     channels, bench = recording.channels, recording.bench
     for name in ("torque", "current", "voltage"):
@@ -360,16 +351,24 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         bandwidth_Hz: Bandwidth, or None for :func:`default_bandwidth`. From 0.45 of the sample rate
             on nothing is filtered, and samples whose acceleration the sample rate does not resolve
             are omitted.
-
-    Raises:
-        RecordingError: A needed channel is missing, the bandwidth exceeds half the rate, or the
-            recording is shorter than the filter.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = default_bandwidth(recording)
     grid = uniform_grid(recording)
     rate = 1.0 / recording.period
-    _require_reach(recording, len(grid), rate, bandwidth_Hz)
+    samples = len(grid)
+    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
+        raise RecordingError(
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
+            f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
+        )
+    least = least_samples(rate, bandwidth_Hz)
+    if samples < least:
+        raise RecordingError(
+            f"{recording.name}: the recording has {samples} samples, but the filter for a "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {least}; state a higher "
+            "bandwidth"
+        )
     low_pass = decimator(rate, bandwidth_Hz)
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, still = _motion(recording, grid, rate, cutoff)
@@ -401,22 +400,6 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         raw_velocity=velocity,
         raw_load=np.abs(hanging),
     )
-
-
-def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz: float) -> None:
-    """Raise RecordingError for a bandwidth that rate or length do not allow."""
-    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
-        raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
-            f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
-        )
-    least = least_samples(rate, bandwidth_Hz)
-    if samples < least:
-        raise RecordingError(
-            f"{recording.name}: the recording has {samples} samples, but the filter for a "
-            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {least}; state a higher "
-            "bandwidth"
-        )
 
 
 def least_samples(rate: float, bandwidth_Hz: float) -> int:

@@ -332,12 +332,7 @@ def resting(recording: Recording) -> Array:
 
 
 def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tracking:
-    """Return the tracking errors of a recording from ``first`` to ``last`` s after its start.
-
-    Raises:
-        KeyError: The recording lacks command, angle, voltage or current.
-        ValueError: The recording has no sample in this interval.
-    """
+    """Return the tracking errors of a recording from ``first`` to ``last`` s after its start."""
     time = recording.time - recording.time[0]
     part = (time >= first) & (time < last)
     if not np.any(part):

@@ -36,9 +36,6 @@ def bound(matching: BlockArrow) -> Array:
     Args:
         matching: d residuals / d unknowns, of r rows and p columns, the mean over matching
             half cycles (``own.mixed(1 / count, mean over the others)``).
-
-    Raises:
-        numpy.linalg.LinAlgError: The recordings do not excite all unknowns.
     """
     normal, scale = equilibrated(matching.product())
     silent = np.flatnonzero(np.diag(normal) == 0.0)
@@ -296,11 +293,7 @@ def uncertain_constants(recordings: Sequence[Recording]) -> tuple[Constant, ...]
 
 
 def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[KnownConstant, ...]:
-    """Return the effect of one standard deviation of each uncertain constant on the estimates.
-
-    Raises:
-        RecordingError: The fit fails with a constant raised or lowered by its standard deviation.
-    """
+    """Return the effect of one standard deviation of each uncertain constant on the estimates."""
     found = []
     for constant in uncertain_constants([p.recording for p in active]):
         low, high = (

@@ -73,11 +73,7 @@ def _reversals_per_s(prepared: Sequence[Prepared]) -> float:
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
-    """Check that a stage has moving samples with nonzero torque.
-
-    Raises:
-        RecordingError: Too few samples are in motion, or the drive's torque is zero in all of them.
-    """
+    """Check that a stage has moving samples with nonzero torque."""
     moving = [_moving(p) for p in prepared]
     count = samples_in_motion(prepared)
     names = ", ".join(p.recording.name for p in prepared)
@@ -291,10 +287,6 @@ class Stage:
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     """Return the unloaded stage (eq. 16) with the declared friction model. Its parameters are Mc,
     Ms, omega_sf, sigma_2, J and, if declared, mu_gc, mu_gs and the offset.
-
-    Raises:
-        RecordingError: The friction model depends on a pendulum's torque, and no recording has a
-            pendulum.
     """
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):

@@ -173,8 +173,6 @@ class Rung:
     """One model of the ladder.
 
     Attributes:
-        friction: Name of the rung.
-        result: The fit to all recordings with role ``fit``.
         train: Torque error on the fitted recordings, in the unit of the fit.
         scored: Torque error on the recordings with role ``validate``, or None without such
             recordings.
@@ -209,9 +207,6 @@ def climb(
     ``bandwidth_Hz``: bandwidth of torque and regressors, or None for the bandwidth that
     :func:`identification.estimate.default.identify` chooses. ``rng``: random generator for the
     drawn recordings and the simulated replicates. ``replicates``: number of bootstrap draws.
-
-    Raises:
-        RecordingError: A recording is loaded, or cannot be fitted.
     """
     tell = progress or silent
     chosen, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
@@ -323,7 +318,6 @@ class Transfer:
         own: Torque error of the model identified on the other recordings.
         floor: Noise floor of the other recordings, or None if they contain no repeated motion.
         by_recording: Torque error of the transferred model on each recording.
-        parameters: Comparison of each parameter.
     """
 
     fit: Fit
@@ -349,10 +343,6 @@ def transfer(
     ``first``: the fit to transfer. ``dataset``: dataset of the fit to transfer; its declared model
     applies to both datasets. ``rng``: random generator for the identification of the other
     recordings, or None for seed 0.
-
-    Raises:
-        RecordingError: The other recordings do not support the model, or include a recording to
-            which the model was fitted.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
     recordings = other.part("fit")

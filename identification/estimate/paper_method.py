@@ -123,10 +123,6 @@ def identify_paper(
     :func:`identification.estimate.bandwidth.choose_bandwidth` chooses. ``progress``: called with
     the stage and the share of the stage's generations that is done. ``generations``: greatest
     number of generations per stage.
-
-    Raises:
-        RecordingError: There is no unloaded recording to fit, or the joint does not move in a
-            recording.
     """
     dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
@@ -284,9 +280,6 @@ def collect(
 ) -> StageSamples:
     """Return the equations of one stage; in the loaded stage the terms of the system parameters are
     subtracted from the torque.
-
-    Raises:
-        RecordingError: There is too little motion, or a loaded recording has no contact force.
     """
     require_motion(prepared)
     parts = []
@@ -489,10 +482,6 @@ def compare(
 
     Returns:
         The default method first, then the optimisers in the order of :data:`OPTIMISERS`.
-
-    Raises:
-        RecordingError: The model has fixed values or declared terms, which the comparison does not
-            support, or the joint does not move.
     """
     if dataset.model.fixed or dataset.model.terms:
         held = ", ".join((*dataset.model.fixed, *dataset.model.terms))

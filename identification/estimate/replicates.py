@@ -1,18 +1,12 @@
 """Computes the bias of maximum likelihood from simulations of the experiment at the estimate
-(M33-M36).
+(docs/method.md, M33-M36).
 
-Just after a breakaway friction falls steeply with speed. The filter is linearised about its
-prediction, and overestimates the mean acceleration that noise causes at the start of a motion. In
-addition, the torque is not linear within the period of a breakaway. The maximum of the likelihood
-is therefore biased, most of all where static friction is high. A replicate is a simulation with the
-recorded commands and with the drive loop that was estimated from the recordings. The bias is the
-mean, over replicates, of the step of one iteration of Fisher scoring from the simulated values
-(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, Journal of Applied
-Econometrics 8 (1993) S85). Each noise realisation is used twice, the second time with reversed
-sign, so that terms of odd order in the noise cancel.
-
-The sensitivities of replicates are also used as instruments, and products of the sensitivities of
-two replicates give the Cramer-Rao bound.
+A replicate is a simulation with the recorded commands and with the drive loop that was estimated
+from the recordings. The bias is the mean, over replicates, of the step of one iteration of Fisher
+scoring from the simulated values (parametric bootstrap; indirect inference: Gourieroux, Monfort and
+Renault, Journal of Applied Econometrics 8 (1993) S85). Each noise realisation is used twice, the
+second time with reversed sign, so that terms of odd order in the noise cancel. The sensitivities of
+replicates are also used as instruments, and their products give the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -57,7 +51,6 @@ class Bias:
     Attributes:
         shifts: Bias of each parameter by name, SI.
         variances: Variance of each bias, due to the finite number of replicates, by name.
-        replicates: The replicates.
     """
 
     shifts: Mapping[str, float]
@@ -164,7 +157,6 @@ class _Scored:
         step: Scoring step, shape (p,).
         deviation: Standard deviation of the step, shape (p,); infinite for the inertia, whose step
             is zero.
-        replicate: The replicate.
     """
 
     step: Array

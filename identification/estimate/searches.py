@@ -455,9 +455,6 @@ def solve_unloaded(
 
     Returns:
         The best end, and the chi-square of every solution.
-
-    Raises:
-        numpy.linalg.LinAlgError: The instruments do not determine the parameters from any start.
     """
     free = system, inertia
     both = bool(system) and bool(inertia)
@@ -554,7 +551,6 @@ class Refined:
     """A refined estimate.
 
     Attributes:
-        values: Value of each parameter by name.
         covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
         floor: Cramer-Rao bound of the covariance
             (:mod:`identification.estimate.covariance`), shape (p, p).
@@ -562,19 +558,16 @@ class Refined:
         innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
             is right.
         whiteness: Correlation of neighbouring innovations, with variance inflation.
-        noise: Noise of torque and angle.
         repeating_share: Share of the correlated noise that repeats in matching half cycles (M26);
             zero without correlated noise.
         torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
-        iterations: Iterations of the joint fit.
         breakaways: Number of segments.
         likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
             start point; positive if least squares at a raised noise level left the basin of this
             start point.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
-        starts: Search ends of each search.
         left_out: Name to what is lacking, of recordings to which prediction errors do not apply.
         stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
         partial: Whether the fit ended without the joint fit, because acceptance rejects the end of

@@ -117,9 +117,6 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
         prepared: The recording; without a controller its velocity gives the initial states.
         horizon: Length of a piece, s. With None, the piece is the whole recording if the controller
             is known; otherwise the length is :func:`open_horizon`.
-
-    Raises:
-        RecordingError: The recording has no angle, or no input for a simulation.
     """
     recording = prepared.recording
     angle = joint_angle(recording)
@@ -541,9 +538,7 @@ class Constant:
     Attributes:
         name: ``torque_constant``, ``resistance`` or ``torque_per_volt``.
         unit: SI.
-        declared: Declared value.
         prior: Relative standard deviation of the declared value, or None for a derived constant.
-        value: Fitted value.
         low: Lower end of the 90 % interval of the fitted value.
         high: Upper end of the 90 % interval of the fitted value.
         moved: Whether the interval excludes the declared value.
@@ -699,9 +694,6 @@ def climb_simulated(
         angle and, in addition, either a declared controller and a ``command`` channel, or a motor
         voltage without torque and current. For recordings with torque or current the equation error
         is sufficient.
-
-    Raises:
-        RecordingError: A recording cannot be simulated, or cannot be fitted.
     """
     tell = progress or silent
     if not all(map(predictable, dataset.recordings)):

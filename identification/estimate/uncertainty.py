@@ -1,22 +1,12 @@
-"""Computes profile likelihoods and bootstrap spreads of the parameters.
+"""Computes profile likelihoods and bootstrap spreads of the parameters (docs/method.md, M45).
 
-A profile is the deviance as a function of a parameter's value. At each value of a parameter, all
-other parameters and all breakaway times are optimised. The estimate does not maximise a likelihood,
-because the inertia solves an estimating equation (M31). The profile therefore differs from an
-ordinary profile likelihood in two ways:
-
-- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with the inertia J, the Huber cost C,
-  and the square Q of the estimating equation of J over its variance (a score test: Rao, Proceedings
-  of the Cambridge Philosophical Society 44 (1948) 50).
-- The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
-  Biometrika 94 (2007) 167). Unlike an interval, a profile shows asymmetry, flat ends and a second
-  minimum.
-
-The bootstrap draws motion segments with replacement. It assumes only that the errors of different
-segments are independent. It therefore checks intervals that depend on a noise model (Efron and
-Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating
-equations with every segment counted as often as it was drawn; weights, noise levels and the
-instrument of the inertia are those of the estimate.
+The deviance of a profile consists of the likelihood at an inertia and of a score test of the
+inertia's estimating equation (Rao, Proceedings of the Cambridge Philosophical Society 44 (1948)
+50), scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94 (2007)
+167). The bootstrap draws motion segments with replacement, and assumes only that the errors of
+different segments are independent (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
+ch. 8). Each draw solves the estimating equations with every segment counted as often as it was
+drawn; weights, noise levels and the instrument of the inertia are those of the estimate.
 """
 
 from __future__ import annotations
@@ -92,7 +82,11 @@ class _Criterion:
         value = self.value(x, residual)
         for _ in range(_ROUNDS):
             matrix, gradient, cost = self.normal(x, residual)
-            step = _held_step(matrix, gradient, along)
+            inverse = _inverse(matrix)
+            back = inverse @ along
+            free = inverse @ gradient
+            held = float(along @ back)
+            step = np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
             if 0.5 * float(cost.pull @ (cost.pull / cost.held) - gradient @ step) < _GAIN:
                 break
             whole = np.concatenate([step, cost.own_step(step)])
@@ -235,15 +229,6 @@ def _tangent(normal: Array, along: Array) -> Array:
     """Return the change of parameters per unit of ``along`` @ them at least cost."""
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
-
-
-def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
-    """Return the Newton step that does not change ``along`` @ parameters."""
-    inverse = _inverse(matrix)
-    back = inverse @ along
-    free = inverse @ gradient
-    held = float(along @ back)
-    return np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
 
 
 def _inverse(matrix: Array) -> Array:

@@ -1,16 +1,10 @@
 """Computes the one-step prediction errors of the angle by an extended Kalman filter with the
-measured torque as input (M14-M21).
+measured torque as input (docs/method.md, M14-M21).
 
-The measured torque is a noisy mean over each period, and the encoder is quantised. An output error
-would drift with the torque noise, and an equation error needs derivatives of the encoder signal;
-the one-step prediction error of the joint angle has neither drawback. The filter has the state
-(angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise. A
-correlated part of the torque noise is a third state, a first-order process that is constant within
-each period. The normalised innovations are white when the model is right, and their sum of squares
-is the likelihood (Ljung, System Identification, 2nd ed., 7.3 and 10.5).
-
-A motion segment starts at its breakaway time, at the angle of rest and with speed zero. Segments
-run side by side (:mod:`identification.filter.kalman`).
+The state is (angle, speed) and, with a correlated part of the torque noise, that part, constant
+within each period. The normalised innovations are white when the model is right, and their sum of
+squares is the likelihood (Ljung, System Identification, 2nd ed., 7.3 and 10.5). A motion segment
+starts at its breakaway time, at the angle of rest and with speed zero. Segments run side by side.
 """
 
 from __future__ import annotations
@@ -259,15 +253,7 @@ def _predicted_hidden(t: Array, wide: int, number: float) -> None:
 
 @compiled
 def predict(t: Array, wide: int, number: int, p: Array, correlated: bool) -> None:
-    """Propagate the state of the first ``wide`` lanes over one integration step (M16, M17).
-
-    Args:
-        t: Workspace of the lanes, shape (WORKSPACE,).
-        wide: Number of lanes.
-        number: Number of the step in the period.
-        p: Vector of :mod:`identification.model.parameters`.
-        correlated: Whether the torque noise has a correlated part.
-    """
+    """Propagate the state of the first ``wide`` lanes over one integration step (M16, M17)."""
     if p[ALPHA] == 2.0:
         _predicted(t, wide, float(number), law(p, 2.0))
     else:

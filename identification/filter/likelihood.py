@@ -524,10 +524,6 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 def likeliest_noise(point: Point) -> Noise:
     """Return the noise levels of least deviance at a point, with a correlated part if the noise of
     the point has one.
-
-    Args:
-        point: Parameters and breakaway times, which stay fixed; the search starts from the noise of
-            this point.
     """
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])

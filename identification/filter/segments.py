@@ -48,8 +48,6 @@ class Motion:
     """A recording prepared for the filter. Arrays have shape (n,), at the joint, SI.
 
     Attributes:
-        recording: The recording.
-        time: s.
         angle: Angle as the encoder measured it, rad.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Rate of change of the torque within that period, N m/s.

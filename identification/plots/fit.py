@@ -314,7 +314,15 @@ def result(
     made, (top, *below) = stacked(heights, width=_WIDTH)
     draw_stribeck(top, identified, moments, columns=2)
     for axis, (label, traces) in zip(below, shown, strict=True):
-        _courses(axis, recordings, traces)
+        begun = 0.0
+        for recording, trace in zip(recordings, traces, strict=True):
+            few = thinned(len(recording.time))
+            time = begun + recording.time[few] - recording.time[0]
+            if trace is not None:
+                colour = BLUE if recording.stage == "unloaded" else VERMILION
+                axis.plot(time, trace[few], color=colour, linewidth=0.8)
+            begun = float(time[-1])
+            axis.axvline(begun, color=GREY, linewidth=0.5)
         axis.set_ylabel(label)
     if below:
         below[-1].set_xlabel("time of the recordings, one after the other (s)")
@@ -324,18 +332,6 @@ def result(
 def _tracking_error(recording: Recording, scale: float) -> Array | None:
     command, angle = (recording.channels.get(name) for name in ("command", "angle"))
     return None if command is None or angle is None else np.asarray(scale * (command - angle))
-
-
-def _courses(axis: Axes, recordings: Sequence[Recording], traces: Sequence[Array | None]) -> None:
-    begun = 0.0
-    for recording, trace in zip(recordings, traces, strict=True):
-        few = thinned(len(recording.time))
-        time = begun + recording.time[few] - recording.time[0]
-        if trace is not None:
-            colour = BLUE if recording.stage == "unloaded" else VERMILION
-            axis.plot(time, trace[few], color=colour, linewidth=0.8)
-        begun = float(time[-1])
-        axis.axvline(begun, color=GREY, linewidth=0.5)
 
 
 _FLOOR_PERCENT = 1e-6

@@ -260,7 +260,6 @@ def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
     Raises:
-        InputError: The folder does not exist.
         InUseError: Another program holds the lock.
         StorageError: The lock file cannot be written.
     """

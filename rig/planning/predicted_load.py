@@ -316,11 +316,6 @@ def breakaway_speed(stiffness_N_m_rad: float, command_rad_s: float, model: Frict
     Relative to the command, the joint is a damped oscillator of inertia, stiffness of the position
     loop and viscous friction, which starts with the speed of the command and is accelerated by the
     difference of static and sliding friction.
-
-    Args:
-        stiffness_N_m_rad: Joint torque per position error.
-        command_rad_s: Speed of the command.
-        model: Friction and inertia of the bench.
     """
     inertia, damping = model.values["J"], model.values["sigma_2"]
     drop = model.values["Ms"] - model.values["Mc"]

@@ -52,9 +52,6 @@ def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
     """Yield topic and message of one recording of a run, in recorded order.
 
     If the recording was never closed, all messages up to its last complete chunk are yielded.
-
-    Raises:
-        InputError: The recording is damaged, or cannot be read.
     """
     path = folder / part.file
     with _readable(path, folder), Tail(path) as tail:
@@ -296,9 +293,6 @@ def extension(kind: str) -> str:
 def with_ending(path: Path, kind: str) -> Path:
     """Return the path of an export with the ending of its format, by which a campaign and other
     programs recognise it; an ending that is missing is added.
-
-    Raises:
-        InputError: The path has the ending of another format, or an unknown one.
     """
     ending = extension(kind)
     if not path.suffix:

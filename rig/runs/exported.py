@@ -117,11 +117,7 @@ def _one(recording: Recording) -> dict[str, Any]:
 
 
 def parse(text: str | bytes, path: Path) -> tuple[Described, ...]:
-    """Read a description.
-
-    Raises:
-        InputError: The description was changed, or is of another version.
-    """
+    """Read a description."""
     try:
         return _Description.model_validate_json(text).recordings
     except ValidationError as error:
@@ -360,7 +356,6 @@ def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording
     """Return the recordings of an export, or None if another program wrote the file.
 
     Raises:
-        InputError: The numbers in the file do not fit the description.
         OSError: The file cannot be read.
     """
     reader = READERS.get(kind)

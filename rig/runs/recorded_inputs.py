@@ -63,9 +63,6 @@ def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
 
     If no recording contains the file, because a recording could not be started, the file itself is
     read, provided that it is unchanged.
-
-    Raises:
-        InputError: No recording contains the file, and the file is missing or was changed.
     """
     entry = record.inputs.get(ACCEPTANCE_INPUT)
     if entry is None:

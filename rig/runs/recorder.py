@@ -80,9 +80,6 @@ class Recorder:
     def begin(self, zero_ns: int) -> None:
         """Set the start of the recording, to be called before the first message; times of frames
         are then recorded as times since this start.
-
-        Args:
-            zero_ns: Start of the recording by the clock that stamps the frames, ns.
         """
         self._zero_ns = zero_ns
         self.metadata(CLOCK_METADATA, {"zero_ns": str(zero_ns)})

@@ -76,7 +76,6 @@ def mend(folder: Path) -> Recovery:
     A complete run is not changed. The caller must hold the lock of the folder.
 
     Raises:
-        InputError: No recording is readable, or the folder has the files of an earlier recovery.
         OSError: The folder cannot be written.
     """
     first = read_log(folder / RECORDING_FILE)
@@ -251,8 +250,6 @@ def prepare(folder: Path) -> Resumption:
     of the folder until the resumed run has ended.
 
     Raises:
-        InputError: All stages are done, or the bench or sequence file is gone or was
-            changed since.
         OSError: The folder cannot be written.
     """
     recovery = mend(folder)

@@ -15,7 +15,7 @@ from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError, StorageError
 from rig.common.locks import OWNER_FILE, Lock, hold_folder
-from rig.common.places import is_file, write_json
+from rig.common.places import is_file, usable, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
 from rig.runs.mcap.reader import Block, DamageError, Log, NotARecordingError, read_run, run_items
@@ -135,15 +135,10 @@ def by_segment(
 
 
 def read_log(path: Path) -> Log:
-    """Read a recording as a whole.
-
-    Raises:
-        InputError: The file cannot be opened or is not a recording.
-    """
+    """Read a recording as a whole."""
     try:
-        return read_run(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        with usable(path, "read"):
+            return read_run(path)
     except NotARecordingError as error:
         raise InputError(str(error)) from error
 
@@ -211,11 +206,7 @@ _MARGIN_BYTES = 16 << 20
 
 
 def require_space(path: Path, cycles: float) -> None:
-    """Check that the disk has the space for a whole run.
-
-    Raises:
-        InputError: The space is not sufficient.
-    """
+    """Check that the disk has the space for a whole run."""
     above = path
     while not above.exists() and above != above.parent:
         above = above.parent
@@ -352,14 +343,11 @@ def create_folder(path: Path, purpose: str) -> Lock:
     """Make the folder of a new run, and lock it; the caller must release the lock.
 
     Raises:
-        InputError: The folder exists and is not empty, or cannot be made.
         InUseError: Another program uses the folder.
         StorageError: The folder cannot be locked.
     """
-    try:
+    with usable(path, "used as a run folder"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     lock = hold_folder(path, purpose)
     try:
         # Checked under the lock, so that only one of two programs can find the folder empty.
@@ -371,16 +359,10 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder does not exist, or contains nothing but the lock.
-
-    Raises:
-        InputError: The folder is not empty, or cannot be read.
-    """
-    try:
+    """Check that a folder does not exist, or contains nothing but the lock."""
+    with usable(path, "used as a run folder"):
         items = path.iterdir() if path.exists() else ()
         occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
             f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is "
@@ -396,10 +378,6 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
     ``partial``: whether to also take unfinished excitations, up to their last fresh sample;
     excitations that are too short for a recording are left out.
-
-    Raises:
-        InputError: The folder is not a run, its recording is unreadable, or no stage was finished
-            (with ``partial``: no excitation was recorded).
     """
     record = read_record(folder)
     wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]

@@ -62,12 +62,7 @@ def _adapter(record: type[Any]) -> TypeAdapter[Any]:
 
 
 def read_record(folder: Path) -> RunRecord:
-    """Read ``run.json``.
-
-    Raises:
-        InputError: The file is missing, damaged, of another version or has invalid values; the
-            message has every error with its place.
-    """
+    """Read ``run.json``."""
     path = folder / RUN_FILE
     text = read_utf8(path, "is this a run folder?")
     try:

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
+from rig.common.places import usable
 from rig.config.campaign_sections import ReadSection
 from rig.sources.channels import (
     POSITIONS,
@@ -97,11 +98,9 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
     kind = format_of(path)
     if kind not in FORMATS:
         raise InputError(f"{path}: {unknown_format(path)}")
-    try:
+    with usable(path, "read"):
         table = open_table(path, options)
         series = _series(table)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     units = table.units or ("",) * len(table.names)
     stated = [
         f"{name} [{unit.strip('[]()')}]" if unit else name

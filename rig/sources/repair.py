@@ -59,12 +59,7 @@ class Timing:
 
 
 def examine_time(time: Array) -> Timing:
-    """Check time stamps and find rows to drop and places to split.
-
-    Raises:
-        UnusableError: Samples are too few, a time stamp is NaN, the time runs backwards, or
-            too many time stamps are repeated.
-    """
+    """Check time stamps and find rows to drop and places to split."""
     if len(time) < MIN_SAMPLES:
         raise UnusableError(f"only {len(time)} samples; at least {MIN_SAMPLES} are needed")
     bad = np.flatnonzero(~np.isfinite(time))
@@ -180,9 +175,6 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Returns:
         The samples (``values`` itself if no sample was missing), and the number of interpolated
         samples.
-
-    Raises:
-        UnusableError: More than 5 % of the samples, or more than 5 successive samples, are missing.
     """
     finite = np.isfinite(values)
     missing = ~finite if legitimate is None else ~finite & ~legitimate

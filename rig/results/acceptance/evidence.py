@@ -229,7 +229,10 @@ def _judged(limit: Limit, evidence: Evidence) -> Check:
         case Bound():
             return _bound(limit, evidence)
         case Required() if limit.text == NOTHING_MISSING:
-            return _diagnosis(limit, evidence)
+            if not evidence.diagnosis:
+                return _unknown(limit, evidence, "the run was not diagnosed")
+            words = f"the diagnosis found: {evidence.diagnosis.replace('_', ' ')}"
+            return Check(limit.text, evidence.diagnosis == "nothing_missing", words)
         case Required():
             return _weight(limit, evidence)
 
@@ -280,13 +283,6 @@ def _bound(limit: Bound, evidence: Evidence) -> Check:
         limit.measure, evidence.record
     )
     return Check(limit.text, limit.holds(shown), words, shown, unit=limit.unit)
-
-
-def _diagnosis(limit: Limit, evidence: Evidence) -> Check:
-    if not evidence.diagnosis:
-        return _unknown(limit, evidence, "the run was not diagnosed")
-    words = f"the diagnosis found: {evidence.diagnosis.replace('_', ' ')}"
-    return Check(limit.text, evidence.diagnosis == "nothing_missing", words)
 
 
 def _weight(limit: Limit, evidence: Evidence) -> Check:

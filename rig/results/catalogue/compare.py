@@ -167,11 +167,7 @@ class Difference:
 
 
 def require_comparable(runs: Sequence[Compared]) -> None:
-    """Check that every run can be read, and that all benches have the same kind of motion.
-
-    Raises:
-        InputError: A run cannot be read, or the kinds of motion differ.
-    """
+    """Check that every run can be read, and that all benches have the same kind of motion."""
     bad = [f"{each.run}: {each.entry.head.problem}" for each in runs if each.entry.head.problem]
     if bad:
         raise InputError(bad)

@@ -164,7 +164,15 @@ def plan_experiment(
     elif noise is None:
         noise = NOISE_SHARE * bench.value.limits.current_A
     nominal = _nominal(bench.value, known, limits, noise)
-    bounds = _bounds(bench.value, sequence.value.stages, limits)
+    bounds = Bounds(
+        angle_min=limits.angle_min,
+        angle_max=limits.angle_max,
+        speed=limits.speed,
+        torque=_torque(bench.value, limits),
+        following=limits.following_error,
+        highest_Hz=min(bench.value.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
+        weights=_weights(bench.value, [s for s in sequence.value.stages if s.stage == "loaded"]),
+    )
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
     found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
     stages = _stages(sequence.value.stages, frames, found.stages)
@@ -210,18 +218,6 @@ def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float)
         Sensors(bench.cycle_s, step, noise_A * limits.torque_per_ampere),
         torque,
         loop=drive_loop(known.recordings, torque, step),
-    )
-
-
-def _bounds(bench: Bench, stages: tuple[StageSection, ...], limits: Limits) -> Bounds:
-    return Bounds(
-        angle_min=limits.angle_min,
-        angle_max=limits.angle_max,
-        speed=limits.speed,
-        torque=_torque(bench, limits),
-        following=limits.following_error,
-        highest_Hz=min(bench.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
-        weights=_weights(bench, [s for s in stages if s.stage == "loaded"]),
     )
 
 

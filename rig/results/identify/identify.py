@@ -198,9 +198,6 @@ def compare_methods(
 ) -> Outcome:
     """Return an outcome with a comparison of all estimators; each stochastic search is run with
     ``COMPARED_SEEDS`` random seeds.
-
-    Raises:
-        InputError: The campaign fixes values or declares terms.
     """
     started = time.perf_counter()
     seed = outcome.provenance.seed

@@ -48,13 +48,6 @@ class Engine(Protocol):
         """Yield results in the order in which they arrive.
 
         A task whose worker dies is given to another worker.
-
-        Args:
-            one: Function that does one task; it must be importable.
-            todo: The tasks; each is taken when a worker is free.
-
-        Raises:
-            InputError: Workers die repeatedly on the tasks.
         """
         ...
 
@@ -95,11 +88,7 @@ def write_folder(folder: Path, files: Files) -> None:
 
 
 def bundle(campaign: Path) -> Bundle:
-    """Return a campaign in the form in which it is sent to a worker on another machine.
-
-    Raises:
-        InputError: The campaign names files outside its folder, or a file cannot be read.
-    """
+    """Return a campaign in the form in which it is sent to a worker on another machine."""
     folder = campaign.parent
     try:
         named = [name for r in load_campaign(campaign).value.recordings for name in r.patterns]

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_json, read_utf8, write_json, write_text
+from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
@@ -72,12 +72,7 @@ def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
 
 
 def check_sums(home: Path) -> None:
-    """Compare the files of the folder with its list of digests; without a list nothing is checked.
-
-    Raises:
-        InputError: A file is missing, or its digest differs from the listed digest; the message
-            names all files with an error.
-    """
+    """Compare the files of the folder with its list of digests, if there is a list."""
     path = home / SUMS_FILE
     if not is_file(path):
         return
@@ -212,11 +207,7 @@ def _make_folders(out: Path, *more: str) -> None:
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the seals of a proof that was begun earlier: the digest of each trial, by its number.
-
-    Raises:
-        InputError: The file is not by this program, or belongs to a proof with other settings.
-    """
+    """Return the digest of each trial of a proof that was begun earlier, by its number."""
     begun = read_json(file)
     try:
         found = begun["settings"]
@@ -350,10 +341,8 @@ def _found(home: Path) -> Iterator[Sealed]:
         for name in (truth.stem, PREFIX + truth.stem):
             rig = place(home, name)
             if is_file(rig.campaign):
-                try:
+                with usable(truth, "read"):
                     yield rig._replace(truth=truth, digest=sha256_file(truth))
-                except OSError as error:
-                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
                 break
 
 

@@ -97,11 +97,7 @@ class Truth(Schema):
 
 
 def load_truth(path: Path) -> Truth:
-    """Read a truth.
-
-    Raises:
-        InputError: The file is not valid; the message has every error with its place.
-    """
+    """Read a truth."""
     document = load_located(path, Truth)
     document.require(_cross_check(document))
     return document.value
@@ -215,11 +211,7 @@ def random_salt(_number: int = 0) -> str:
 
 
 def unseal(path: Path, digest: str) -> Truth:
-    """Read a truth, and check it against the digest that was shown.
-
-    Raises:
-        InputError: The file is missing, was changed after it was sealed, or is not a truth.
-    """
+    """Read a truth, and check it against the digest that was shown."""
     content = sealed_content(path)
     found = sha256(content)
     if found != digest:
@@ -231,11 +223,7 @@ def unseal(path: Path, digest: str) -> Truth:
 
 
 def sealed_content(path: Path) -> bytes:
-    """Return the content of a sealed truth as bytes, without parsing it.
-
-    Raises:
-        InputError: The file is missing or cannot be read.
-    """
+    """Return the content of a sealed truth as bytes, without parsing it."""
     try:
         return read_bytes(path)
     except FileNotFoundError as error:

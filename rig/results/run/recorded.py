@@ -132,10 +132,6 @@ class _Carried:
 class Deriver:
     """Function that derives the plotted channels of consecutive blocks of samples.
 
-    Args:
-        bench: Constants of the bench.
-        cycle_s: Control cycle, s.
-
     Attributes:
         starts: Time, s, and command, rad, of the first sample of each stage under power.
         powered: Start and end of each time under power up to now, s.
@@ -327,9 +323,6 @@ def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:
     """Read one recording of a run.
 
     A recording that was not closed in order is read at once, and its damage is reported.
-
-    Raises:
-        InputError: The file cannot be opened, or is not a recording.
     """
     try:
         return _gathered(run_items(path, Sample._fields), bench, cycle_s)
@@ -459,7 +452,13 @@ def limit_steps(
     before: PlannedPass | None = None
     for event in events:
         if event["event"] == "first pass":
-            planned = _pass_of(plan, event)
+            passes = next(
+                (stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ()
+            )
+            planned = next(
+                (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)),
+                None,
+            )
             if planned is None:
                 continue
             steps += _pass_steps(planned, before, plan, event, starts)
@@ -470,13 +469,6 @@ def limit_steps(
         if event["event"] == "stage start":
             before = None
     return steps
-
-
-def _pass_of(plan: Plan, event: Mapping[str, Any]) -> PlannedPass | None:
-    passes = next((stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ())
-    return next(
-        (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)), None
-    )
 
 
 def _pass_steps(
@@ -627,11 +619,7 @@ class Tripped:
 
 
 class Recorded:
-    """One recording of a run, read in order to draw it.
-
-    Raises:
-        InputError: The file cannot be opened, or is not a recording.
-    """
+    """One recording of a run, read in order to draw it."""
 
     def __init__(self, folder: Path, record: RunRecord, number: int) -> None:
         self.record = record
