@@ -25,8 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.interfaces import RawFrame
-from identification.estimate import default
-from identification.estimate.default import identify_long
+from identification.estimate.default import identify
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench
 from identification.simulate.drive_loop import respond, usual_loop
@@ -120,7 +119,7 @@ def measure(folder: Path, path: str) -> None:
     run = folder / "run"
     dataset = load_source(run if run.is_dir() else folder / "campaign.yaml")
     read = time.process_time() - began
-    result = default.identify(dataset) if path == "memory" else identify_long(dataset)
+    result = identify(dataset, in_pieces=path != "memory")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     parameters = {n: (p.value, p.low, p.high) for n, p in result.parameters.items()}
     seconds = time.process_time() - began

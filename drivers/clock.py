@@ -49,9 +49,7 @@ def _boot_ns() -> int:
 
 
 class Suspension:
-    """Detects that the computer slept: the monotonic clock does not count this time, so that no
-    lateness shows it.
-    """
+    """Detects that the computer slept, which no lateness shows: the monotonic clock stood still."""
 
     def __init__(
         self,

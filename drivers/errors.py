@@ -12,9 +12,7 @@ class DeviceError(Exception):
 
 
 class LinkError(DeviceError):
-    """The bus or port failed: it is not open, is in the state bus-off, or has no answer. Remedies
-    are to check cabling, power and bit rate.
-    """
+    """The bus or port failed: not open, bus-off, or no answer; check cabling, power, bit rate."""
 
 
 class ObjectAccessError(DeviceError):

@@ -93,9 +93,7 @@ class Homes(Protocol):
     """A drive that can set its zero by itself; other drives lack these methods."""
 
     def homing_offer(self) -> HomingOffer:
-        """Return whether the drive can home, by its EDS and by reading objects, without writing
-        anything.
-        """
+        """Return whether the drive can home, by its EDS and by reading objects; writes nothing."""
         ...
 
     def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:

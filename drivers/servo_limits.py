@@ -154,9 +154,7 @@ def value_at(address: ObjectAddress, units: int, scales: ServoScales) -> float:
 def named(
     address: ObjectAddress, value: int, scales: ServoScales, error: DeviceError
 ) -> DeviceError:
-    """Return an error that names the keys of the bench file from which a refused value was
-    computed.
-    """
+    """Return an error that names the keys from which a refused value was computed."""
     if isinstance(error, NotDescribedError):
         return error
     key, *units = keys = _KEYS[_at_joint(address, scales)]

@@ -78,9 +78,7 @@ class SteppedServo(Servo):
         wanted: str,
         again: Callable[[], object] = lambda: None,
     ) -> None:
-        """Read the state of the drive until the expected state is reached; call ``again`` after
-        each read of another state.
-        """
+        """Read the state until it is the expected one; call ``again`` after each other state."""
         deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := read()):
             if self._clock.now_ns() >= deadline:

@@ -37,13 +37,7 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     is zero where p_g is below the downstream pressure p_c0. In all other cases F_P is the force of
     the weight (eq. 17).
 
-    Args:
-        recording: The recording.
-        grid: Times, s, shape (n,).
-        angle: Valve angle at those times, rad, shape (n,).
-
-    Raises:
-        RecordingError: The recording is a hot firing and the bench has no gas generator.
+    ``angle``: valve angle at those times, rad, shape (n,).
     """
     generator = recording.bench.gas_generator
     if "load_force" in recording.channels:
@@ -64,9 +58,6 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
     those of :func:`contact_force`.
-
-    Raises:
-        RecordingError: As in :func:`contact_force`; or a loaded recording has no moment arm.
     """
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm
@@ -94,13 +85,9 @@ IRREGULAR, STANDS_OUT = 0.25, 8.0
 median interval, and as a multiple of the median absolute deviation.
 """
 LEAST_CLEAN = 0.1
-"""Samples near a late or missing sample are removed only if at least this share of the moving
-samples remains.
-"""
+"""Samples near a bad sample are removed if this share of the moving samples remains."""
 REST_SAMPLES = 8
-"""Number of successive samples over which the angle of a joint at rest changes by at most one
-encoder step.
-"""
+"""Successive samples at rest over which the angle changes by at most one step."""
 
 
 @dataclass(frozen=True)
@@ -170,9 +157,7 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def finer_joint(recording: Recording) -> bool:
-    """Whether the joint angle was recorded, and with finer steps than a recorded motor angle has at
-    the joint.
-    """
+    """Whether the joint angle is recorded with finer steps than the motor angle."""
     joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
     if joint is None or motor is None:
         return joint is not None
@@ -186,9 +171,6 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     The torque is computed from the torque channel; without a torque channel from the current;
     without a current from the voltage, with I = (U - Ke omega_motor)/R, and I = 0 while the power
     stage is off. Averaged channels are shifted by half a period.
-
-    Raises:
-        RecordingError: No channel gives the torque.
     """
     channels, bench = recording.channels, recording.bench
     for name in ("torque", "current", "voltage"):
@@ -229,9 +211,7 @@ def drive_channel(recording: Recording) -> str:
 
 
 def volts_per_torque(recording: Recording) -> float | None:
-    """Return the armature voltage R I for one unit of joint torque, V, if the torque is computed
-    from the voltage; else None.
-    """
+    """Return the voltage R I per joint torque, if the voltage gives the torque; else None."""
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
     return recording.bench.resistance / recording.bench.ampere_torque
@@ -296,9 +276,7 @@ def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolAr
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks widened by ``samples`` on either side, where the outputs of a position
-    filter depend on samples at rest and in motion.
-    """
+    """Return the marks widened to where a filter sees both rest and motion."""
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 
@@ -373,16 +351,24 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         bandwidth_Hz: Bandwidth, or None for :func:`default_bandwidth`. From 0.45 of the sample rate
             on nothing is filtered, and samples whose acceleration the sample rate does not resolve
             are omitted.
-
-    Raises:
-        RecordingError: A needed channel is missing, the bandwidth exceeds half the rate, or the
-            recording is shorter than the filter.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = default_bandwidth(recording)
     grid = uniform_grid(recording)
     rate = 1.0 / recording.period
-    _require_reach(recording, len(grid), rate, bandwidth_Hz)
+    samples = len(grid)
+    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
+        raise RecordingError(
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
+            f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
+        )
+    least = least_samples(rate, bandwidth_Hz)
+    if samples < least:
+        raise RecordingError(
+            f"{recording.name}: the recording has {samples} samples, but the filter for a "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {least}; state a higher "
+            "bandwidth"
+        )
     low_pass = decimator(rate, bandwidth_Hz)
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, still = _motion(recording, grid, rate, cutoff)
@@ -414,22 +400,6 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         raw_velocity=velocity,
         raw_load=np.abs(hanging),
     )
-
-
-def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz: float) -> None:
-    """Raise RecordingError for a bandwidth that rate or length do not allow."""
-    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
-        raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
-            f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
-        )
-    least = least_samples(rate, bandwidth_Hz)
-    if samples < least:
-        raise RecordingError(
-            f"{recording.name}: the recording has {samples} samples, but the filter for a "
-            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {least}; state a higher "
-            "bandwidth"
-        )
 
 
 def least_samples(rate: float, bandwidth_Hz: float) -> int:

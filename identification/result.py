@@ -342,9 +342,7 @@ class Identification:
 
     @property
     def torque_unit(self) -> str:
-        """Unit of the torques in ``traces``, which differs from the unit of the fit if the fit is
-        in volts.
-        """
+        """Unit of the torques in ``traces``, also if the fit is in volts."""
         return self.parameters["Mc"].unit
 
     @property

@@ -79,9 +79,7 @@ def _filter(filters: Array, values: Array) -> None:
 
 
 _LEAST_STEPS = 8
-"""Least number of small steps for which a common divisor of the steps is not attributed to
-chance.
-"""
+"""Least number of small steps with a common divisor that is not chance."""
 _LONGEST_STEP = 1.5
 """Longest step between two samples without a missing sample, in sample periods."""
 _KAISER = 5.0
@@ -143,9 +141,7 @@ def values_at_ends(
 
 
 def derivative(values: Array, step: float) -> Array:
-    """Differentiate by the seven-point central difference (error of order step^6), with differences
-    of lower order at the ends.
-    """
+    """Differentiate by seven points (error of order step^6), lower order at the ends."""
     out = np.gradient(values, step)
     if len(values) >= 7:
         out[3:-3] = (
@@ -188,18 +184,14 @@ class Decimator:
         return len(self.taps) // 2
 
     def __call__(self, values: Array) -> Array:
-        """Filter and decimate along the last axis, without the outputs whose window exceeds the
-        ends of the series.
-        """
+        """Filter and decimate the last axis, without outputs beyond the ends."""
         if self.half == 0:
             return values[..., :: self.factor]
         series = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, values.shape[-1])
         return _decimated(series, self.taps, self.factor).reshape(*values.shape[:-1], -1)
 
     def chosen(self, values: Array, places: NDArray[np.int64]) -> Array:
-        """Return only the outputs at the indices ``places``, shape (n, k), for series of shape (k,
-        m).
-        """
+        """Return the outputs at the indices ``places``, (n, k), for series (k, m)."""
         if self.half == 0:
             return np.asarray(values[:, :: self.factor][:, places].T)
         return _chosen(
@@ -267,9 +259,7 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
 
 
 def reach(rate: float, bandwidth: float) -> tuple[int, int]:
-    """Return decimation factor and half length, in samples, of the low-pass for a bandwidth in Hz;
-    (1, 0) if no filter is needed.
-    """
+    """Return decimation factor and half length of the low-pass; (1, 0) for none."""
     if bandwidth >= 0.45 * rate:
         return 1, 0
     factor = max(1, round(rate / (2.5 * bandwidth)))
@@ -326,17 +316,13 @@ class Tracking:
 
 
 def tracking_error(recording: Recording) -> Array:
-    """Return command less angle, rad, shape (n,); each command is compared with the angle one
-    sample after the command was sent.
-    """
+    """Return command less angle one sample after the command was sent, rad, (n,)."""
     command = recording.channels["command"]
     return np.asarray(np.concatenate([command[:1], command[:-1]]) - recording.channels["angle"])
 
 
 def resting(recording: Recording) -> Array:
-    """Return 1 at samples around which the mean speed of the joint is near zero, else 0, shape
-    (n,).
-    """
+    """Return 1 at samples where the mean speed of the joint is near zero, else 0, (n,)."""
     n = max(1, round(REST_SPAN_S / recording.period))
     angle = recording.channels["angle"]
     padded = np.pad(angle, (n // 2, n - n // 2), mode="edge")
@@ -346,12 +332,7 @@ def resting(recording: Recording) -> Array:
 
 
 def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tracking:
-    """Return the tracking errors of a recording from ``first`` to ``last`` s after its start.
-
-    Raises:
-        KeyError: The recording lacks command, angle, voltage or current.
-        ValueError: The recording has no sample in this interval.
-    """
+    """Return the tracking errors of a recording from ``first`` to ``last`` s after its start."""
     time = recording.time - recording.time[0]
     part = (time >= first) & (time < last)
     if not np.any(part):

@@ -1,3 +1,1 @@
-"""The bench: configuration, sequences, safety, recorder, command line and reports, wired together
-here.
-"""
+"""The bench: configuration, sequences, safety, recorder, command line and reports."""

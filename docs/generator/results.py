@@ -42,6 +42,7 @@ from rig.results.catalogue.compare import Figure
 from rig.results.diagnose.model_file import FIELDS
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
+from rig.sources.look import Clock, Column, Look
 
 TABLE = Path(__file__).with_suffix(".txt")
 _PROVENANCE = "Every result file"
@@ -93,12 +94,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.document:effects_record",
         "rig.results.diagnose.document:_entry_record",
     ),
-    "rig look --json": (
-        "rig.cli.commands.look:look_record",
-        "rig.cli.commands.look:_log_record",
-        "rig.cli.commands.look:_clock_record",
-        "rig.cli.commands.look:_column_record",
-    ),
+    "rig look --json": ("rig.cli.commands.look:look_record",),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
     "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
     "rig runs compare --json": (
@@ -157,10 +153,11 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
     "rig run --faults: faults.json": (Finding,),
+    "rig look --json": (Look, Clock, Column),
 }
 """Section to the records that are written field by field."""
 _INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
-    {"absolute", "cost_history", "excess", "parameter_history", "prior"}
+    {"absolute", "cost_history", "excess", "guesses", "parameter_history", "prior", "turn"}
 )
 """Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {

@@ -29,8 +29,6 @@ class Amt21Line:
 
     Args:
         clock: Real or simulated clock, as the port.
-        connect: Opens the line.
-        name: Name of the line in messages.
         address: Address of the encoder; a multiple of 4.
 
     Attributes:
@@ -168,9 +166,7 @@ def decode(answer: bytes) -> int | None:
 
 
 class PlausibilityGate:
-    """Tracks positions modulo a turn, and rejects positions that the joint cannot have reached
-    since the last accepted position.
-    """
+    """Tracks positions modulo a turn; rejects positions that the joint cannot have reached."""
 
     SLACK_COUNTS: Final = 2.0
     """Greatest error of the difference of two positions due to rounding to counts."""

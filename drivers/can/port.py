@@ -1,6 +1,4 @@
-"""CAN ports for links: frames as plain tuples, over any python-can interface or the simulated
-bus.
-"""
+"""CAN ports for links: frames as plain tuples, over python-can or the simulated bus."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Reads the object dictionary of a CANopen device from its EDS, DCF, XDD or XDC file, as far as
-possible also from a faulty file.
-"""
+"""Reads a CANopen object dictionary (EDS, DCF, XDD or XDC), also from a faulty file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Modes of operation of a CiA 402 drive (6060h), and the commands that each mode sends to follow a
-position.
-"""
+"""Modes of operation of a CiA 402 drive (6060h), and the commands that each mode sends."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""CANopen process data (PDOs) on the host's side: configures PDOs by SDO, packs and unpacks
-values.
-"""
+"""CANopen process data (PDOs) on the host: configured by SDO, packed and unpacked."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Joint encoder with the CANopen profile CiA 406, and pressure transmitter with the profile CiA 404
-for measuring devices.
-"""
+"""Joint encoder (CiA 406), and pressure transmitter (CiA 404)."""
 
 from __future__ import annotations
 
@@ -187,9 +185,7 @@ _PRESSURE_INPUTS: Final = (PdoLayout(_PRESSURE, (_PROCESS_VALUE, _STATUS), slack
 
 
 class Cia404Transmitter(PressureTransmitter):
-    """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its
-    first input.
-    """
+    """A transmitter that sends process value (9130h) and status (6150h) after every SYNC."""
 
     def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:
         self._channel = channel

@@ -28,8 +28,6 @@ class Signal:
     bit ``shift`` on.
 
     Attributes:
-        name: Name in the DBC.
-        size: Number of bytes of the frame.
         shift: Position of the least significant bit.
         width: Number of bits.
         motorola: Byte order (``@0`` in the DBC).
@@ -225,9 +223,6 @@ class BoundMessage:
     """A message that the map uses, with counter and checksum.
 
     Attributes:
-        name: Name in the DBC.
-        identifier: CAN identifier.
-        size: Number of bytes.
         counter: Signal of the life counter, or None without a counter.
         checksum: Signal of the checksum, or None without a checksum.
         algorithm: Function that computes the checksum of a frame; the result does not depend on the
@@ -253,8 +248,6 @@ class BoundPage:
     """One page of a multiplexed message that the drive sends.
 
     Attributes:
-        message: Name of the message.
-        selector: The signal whose value selects the page.
         number: Raw value of the selector.
         count: Number of pages of the message.
     """
@@ -354,9 +347,6 @@ class Wiring:
         asked: Whether the drive sends messages without a period only in answer to a command.
         target: Signal of the commanded position.
         torque_offset: Signal of the torque offset, or None without a torque offset.
-        disable: Order that switches the power off.
-        stop: Order that brakes.
-        reset: Order that clears a fault.
         enable: Orders that lead toward power, by state.
         stop_message: Message of the stop frame.
         stop_image: Data of the stop frame, without counter and checksum.

@@ -45,11 +45,9 @@ class Layout:
     """One message of a DBC.
 
     Attributes:
-        name: Name in the DBC.
         identifier: CAN identifier; bit 31 is set if the identifier has 29 bits.
         size: Number of bytes.
         period_s: Cycle time in the DBC (``GenMsgCycleTime``), s, or None if the DBC has none.
-        signals: Signals by name.
         obstacle: Reason why the message cannot be used; empty if it can be used.
     """
 
@@ -129,7 +127,14 @@ def _layouts(data: bytes) -> Mapping[str, Layout]:
     database, faults = _loaded(data)
     counts = Counter(message.name for message in database.messages)
     layouts = {
-        message.name: _layout(message, faults.get(at, ""))
+        message.name: Layout(
+            name=message.name,
+            identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
+            size=message.length,
+            period_s=_period_s(message.cycle_time),
+            signals=_signals(message),
+            obstacle=faults.get(at, "") or _obstacle(message),
+        )
         for at, message in enumerate(database.messages)
     }
     twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
@@ -206,17 +211,6 @@ def _explain(error: str) -> str:
     text = error.removeprefix("DBC: ").strip('"')
     place = _PLACE.search(text)
     return f":{place[1]}:{place[2]}: {text}" if place else f": {text}"
-
-
-def _layout(message: Message, fault: str) -> Layout:
-    return Layout(
-        name=message.name,
-        identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
-        size=message.length,
-        period_s=_period_s(message.cycle_time),
-        signals=_signals(message),
-        obstacle=fault or _obstacle(message),
-    )
 
 
 def _period_s(cycle_time_ms: object) -> float | None:

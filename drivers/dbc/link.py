@@ -138,12 +138,8 @@ class DbcLink(CanopenLink):
     ) -> bool:
         """Wait for a valid frame that arrives after this call; return False after the time-out.
 
-        Args:
-            channel: The drive.
-            slot: The message.
-            timeout_s: Time-out, s.
-            ask: Function that asks for the message, called until the message arrives; None for a
-                message that the drive sends by itself.
+        ``ask``: function that asks for the message, called until the message arrives; None for a
+        message that the drive sends by itself.
         """
         self.drain(channel)
         count = slot.count

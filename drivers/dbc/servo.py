@@ -117,9 +117,7 @@ class Feedback:
         return whole * quantity.gain + quantity.bias
 
     def told(self, name: str, otherwise: int) -> int:
-        """Return an integer from the next frame of the drive; ``otherwise`` if the drive does not
-        report the value.
-        """
+        """Return an integer from the next frame of the drive; ``otherwise`` if it has none."""
         quantity = self._inputs.get(name)
         if quantity is None:
             return otherwise

@@ -1,6 +1,4 @@
-"""Link to EPOS4 drives on a serial line; each request is sent after the answer to the previous
-request has arrived.
-"""
+"""Link to EPOS4 drives on a serial line: each request follows the answer to the previous one."""
 
 from __future__ import annotations
 

@@ -218,13 +218,7 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
 
 
 def preferred(name: str, preference: float, beyond: str = "") -> str:
-    """Return a text that states why an effect is preferred to another effect.
-
-    Args:
-        name: Name of the other effect.
-        preference: Preference of the data for the effect over the other effect, standard errors.
-        beyond: Reason why the fit of the other effect is implausible; empty if it is plausible.
-    """
+    """Return a text that states why an effect is preferred to another effect."""
     if preference > 0.0:
         return f"preferred to {name} by {preference:.1f} standard errors"
     if beyond:

@@ -144,8 +144,6 @@ class Burn:
     samples. For the search a burn is a view.
 
     Attributes:
-        recording: The recording.
-        index: Index among the recordings under diagnosis.
         time: Time since the first sample of the recording, s, shape (n,).
         areas: A_t and its derivatives with respect to the thickness of a deposit, shape (3, n).
         shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
@@ -192,12 +190,7 @@ def has_gas_channels(recording: Recording) -> bool:
 
 
 def burns(recordings: Sequence[Recording]) -> tuple[Burn, ...]:
-    """Return recordings as rows.
-
-    Raises:
-        RecordingError: A recording has no pressure or no angle, is too short, or has a pressure of
-            zero.
-    """
+    """Return recordings as rows."""
     return tuple(_burn(recording, index) for index, recording in enumerate(recordings))
 
 
@@ -251,9 +244,6 @@ def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
 def noise(burns: Sequence[Burn]) -> float:
     """Return the scatter of the pressure from row to row, Pa, from the median third difference; at
     least the quantisation error.
-
-    Raises:
-        RecordingError: The pressure does not change at all.
     """
     differences = np.concatenate([np.diff(b.pressure, n=3) for b in burns])
     # Third differences of white noise of unit variance have the variance 20.
@@ -287,7 +277,6 @@ class GasNominal(Nominal):
     """Constants of propellant, valve and sensors, with the state at the start of each recording.
 
     Attributes:
-        starts: State at the start of each recording.
         acting: Fitted effects, on which the response to a further effect depends.
     """
 
@@ -600,15 +589,6 @@ def diagnose_gas(
 
     The constants of propellant, valve and sensors, within their tolerances (:data:`CONSTANTS`), and
     the state at the start of every recording are fitted together with the effects.
-
-    Args:
-        dataset: Recordings with pressure and valve angle, each from its ignition; those with role
-            ``validate`` are not fitted.
-        rng: Random generator for the sign flips.
-        progress: Called with the name of the step and the share of the step that is done.
-
-    Raises:
-        RecordingError: A recording cannot be used.
     """
     started, rng = perf_counter(), rng or np.random.default_rng(0)
     report: Progress = progress or (lambda _stage, _share: None)

@@ -185,11 +185,6 @@ def validated_effects(found: Search, aside: Sequence[View], terms: Sequence[Effe
     effect. After each drop all effects are compared again with their rivals and with those that now
     score best (:func:`_contested_again`). Finally, the errors on recordings set aside decide
     between each remaining effect and its rivals.
-
-    Args:
-        found: The search.
-        aside: Recordings that are set aside.
-        terms: Effects that were searched for.
     """
     baseline = within_limits(found.baseline)
     case = _Case(aside, baseline, tuple(terms), set())
@@ -531,10 +526,6 @@ def _sole_parts(squares: Array, parts: Array) -> Array:
 def with_indistinct_effects(found: Search, terms: Sequence[Effect]) -> Search:
     """Return the search with effects that these recordings cannot distinguish from an identified
     effect as further rivals. Such a rival is open, that is, not rejected.
-
-    Args:
-        found: The search.
-        terms: Effects that were searched for.
     """
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
     rounds = tuple(

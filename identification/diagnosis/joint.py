@@ -73,8 +73,6 @@ class Joint:
     """A model fitted to all equations.
 
     Attributes:
-        nominal: Nominal values.
-        effects: Effects in the order of their addition.
         equations: Equations at the nominal values, without the contributions of the effects.
         residual: Whitened rows less the nominal model and the effects, shape (n,).
         stack: Stack whose effect basis spans the effects and the derivatives of their nonlinear
@@ -146,9 +144,6 @@ def fit(
         effects: Effects with trial values of their nonlinear parameters; the fit finds the
             coefficients.
         before: A fit to these recordings, whose noise and blocks are used.
-
-    Raises:
-        RecordingError: No sample of the recordings is in steady motion.
     """
     nominal, effects = start_fit(start.limited(views), effects)
     best: Joint | None = None
@@ -583,10 +578,6 @@ def with_lower_noise(baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
 
     The function is called only after a fast effect is identified: slow effects do not change the
     differences from row to row, from which the noise is estimated.
-
-    Args:
-        baseline: Fit of the nominal model.
-        joint: Fit with every effect identified so far.
     """
     if not joint.effects[-1].term.fast:
         return baseline, joint

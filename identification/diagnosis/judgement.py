@@ -48,9 +48,6 @@ class Judged(NamedTuple):
     """Verdict of a search.
 
     Attributes:
-        verdict: The verdict.
-        where: Location of the mismatch; None if nothing is missing.
-        maps: Maps of the mismatch.
         reason: Reason why the effects of the catalogue do not explain the mismatch, or why the
             verdict is *nothing missing* in spite of a mismatch; None otherwise.
     """
@@ -175,12 +172,6 @@ def _most_reduced(
 ) -> Equation:
     """Return the equation whose mismatch is reduced most in each row; the breakaway equation, which
     has few rows, only if its mismatch is reduced most over all rows.
-
-    Args:
-        equations: Equations of the stack.
-        stack: The stack.
-        before: Whitened mismatch before, shape (n,).
-        after: Whitened mismatch after, shape (n,).
     """
 
     def reduction(equation: Equation) -> float:
@@ -205,10 +196,6 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffec
 
     A rival that replaced an effect is the last effect of the fit, but takes the place of the
     replaced effect in the returned list.
-
-    Args:
-        found: The search.
-        rng: Random generator for the bands of the maps.
     """
     sizes = estimates(found.final)
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}

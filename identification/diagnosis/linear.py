@@ -101,7 +101,6 @@ class Solution:
             only the steps of the Stribeck speeds are used.
         shapes: Step of the nonlinear parameters that determine an effect's size, relative to the
             half widths of their search.
-        effects: Effects with coefficients.
         residual: Whitened residual with the Stribeck speeds free to first order.
         cost: Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
             first-order prediction is not attained by a large step of a Stribeck speed.
@@ -118,11 +117,6 @@ class Solution:
 def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solution:
     """Solve for coefficients, and for steps of the nominal parameters and of nonlinear parameters
     that determine a size; static levels stay within their limits.
-
-    Args:
-        stack: Stack at the point.
-        effects: Effects at the point.
-        held: Nominal parameters that are not changed.
     """
     stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
@@ -245,11 +239,6 @@ def predicted_and_attained(
 ) -> tuple[float, float]:
     """Return the predicted and the attained mean-square torque mismatch, relative to the mean
     square of the noise.
-
-    Args:
-        stack: Stack at the nominal values at the end of the fit.
-        effects: Effects with their coefficients.
-        residual: Whitened residual of the fit with the nominal parameters free, shape (n,).
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     rest = equation.residual.copy()

@@ -111,11 +111,6 @@ def parts(block: np.ndarray) -> np.ndarray:
 def unpredicted(basis: Array, residual: Array, part: np.ndarray) -> float:
     """Return the sum of squares that remains if each part is predicted by orthonormal columns that
     are fitted to the other parts.
-
-    Args:
-        basis: Orthonormal columns, shape (n, k).
-        residual: What is predicted, shape (n,).
-        part: Part of each row, from 0, shape (n,).
     """
     coefficients = basis.T @ residual
     errors = residual - basis @ coefficients
@@ -142,13 +137,7 @@ DRAWS = 499
 
 @dataclass(frozen=True)
 class Axis:
-    """A coordinate with its values at the rows of an equation.
-
-    Attributes:
-        name: Name of the coordinate.
-        unit: Unit of its values.
-        values: Value at each row, shape (n,).
-    """
+    """A coordinate with its values at the rows of an equation."""
 
     name: str
     unit: str
@@ -281,16 +270,6 @@ def map_over(
 ) -> Map | None:
     """Return the map of the mismatch over one coordinate with simultaneous bands, or None if the
     coordinate has too few values.
-
-    Args:
-        equation: The equation.
-        axis: The coordinate.
-        before: Mismatch before correction, shape (n,).
-        after: Mismatch after correction, shape (n,).
-        block: Block of each row, shape (n,).
-        blocks: Number of blocks.
-        rng: Random generator for the bands.
-        bins: Number of bins.
     """
     values = axis.values
     grid = edges(values, bins)

@@ -53,15 +53,8 @@ def oracle(
 ) -> HeldOut | None:
     """Fit the effects with the given names, and compute the errors on the recordings set aside.
 
-    Args:
-        dataset: Dataset of the diagnosis.
-        first: Fit of the nominal model to the fitted recordings.
-        names: Names of the true effects in the catalogue.
-        bandwidth_Hz: Bandwidth of all errors.
-
-    Returns:
-        The errors; None if the recordings set aside have no row of any equation, or if an effect is
-        collinear with the nominal model or its fitted coefficient has an unphysical sign.
+    The result is None if these recordings have no row of any equation, or if an effect is collinear
+    with the nominal model or its fitted coefficient has an unphysical sign.
     """
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
@@ -149,12 +142,7 @@ class Library:
 
 
 def library(joint: Joint, terms: Sequence[Effect]) -> Library:
-    """Return the regressors that the search tests on the mismatch of the nominal model.
-
-    Args:
-        joint: Fit of the nominal model alone.
-        terms: Effects.
-    """
+    """Return the regressors that the search tests on the mismatch of the nominal model."""
     stack = joint.stack
     context = Context(joint.views, joint.nominal)
     groups: list[Group] = []

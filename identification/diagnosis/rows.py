@@ -34,9 +34,6 @@ def between_samples(views: Sequence[View]) -> float:
     the error depends on the motion and no filter averages it. This error is not white noise, but
     the deviation of an instant within a sample period times the rate of change of the voltage, or
     of the voltage across the resistance.
-
-    Args:
-        views: Recordings with voltage and current.
     """
     voltages = [v.voltage for v in views if "voltage" not in v.recording.averaged]
     drops = [
@@ -80,7 +77,6 @@ class Equation:
     Attributes:
         name: One of :data:`EQUATIONS`.
         unit: Unit of the mismatch.
-        views: Recordings in order.
         kept: For each view, mask of the filter outputs (or breakaways) that are rows.
         residual: Measured less nominal, shape (n,).
         tangent: Derivatives with respect to the parameters of the equation, shape (n, k).
@@ -568,11 +564,6 @@ def weight_of(equation: Equation) -> Array:
 def at_rows(coordinate: Coordinate, equation: Equation, weight: Array) -> Array:
     """Return the filtered coordinate at the rows of an equation, shape (n,); zero where a recording
     lacks its channel.
-
-    Args:
-        coordinate: The coordinate.
-        equation: The equation.
-        weight: Weights of the rows, from :func:`weight_of`, shape (n,).
     """
     if coordinate.periodic:
         first = equation.rows(partial(_harmonic, coordinate, 1))

@@ -164,15 +164,6 @@ def reported(
     the default estimator after the effects were subtracted, which resolve the fall of friction with
     speed. The latter are taken unless their torque error is larger. If no effect changes the torque
     or the motion that friction depends on, the constants are those before.
-
-    Args:
-        dataset: All recordings.
-        final: Fit with the effects.
-        effects: Identified effects.
-        bandwidth_Hz: Bandwidth of the errors.
-        before: Constants without effects.
-        refine: Whether the default estimator is used.
-        rng: Random generator of the default estimator.
     """
     beside, alpha = unreported_constants(final), final.nominal.fitted_alpha or final.nominal.alpha
     terms = [EFFECTS[e.name] for e in effects]

@@ -57,12 +57,7 @@ each trial parameter.
 
 
 def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -> list[Candidate]:
-    """Return the best candidate of each effect that is not negligible, best first.
-
-    Args:
-        candidates: Candidates of all effects.
-        terms: Terms of the candidates, by name.
-    """
+    """Return the best candidate of each effect that is not negligible, best first."""
     each: dict[str, list[Candidate]] = {}
     for candidate in candidates:
         each.setdefault(candidate.name, []).append(candidate)
@@ -99,13 +94,6 @@ def finalist_groups(
     first group has those that explain a sufficient share of the mismatch beyond the noise in their
     equations. Effects that appear only in equations without a significant mismatch, and effects
     that would be removed again, are omitted.
-
-    Args:
-        baseline: Fit of the nominal model.
-        joint: Fit with the effects that were selected so far.
-        terms: Terms of the candidates, by name.
-        ranked: The best candidate of each effect, best first.
-        missing: Function that returns whether physics is missing in the equation of a given name.
     """
     if not joint.effects:
         yield _finalists(ranked)
@@ -172,13 +160,10 @@ class Search:
     """Result of the search.
 
     Attributes:
-        baseline: Fit of the nominal model alone.
-        final: Fit with every kept effect.
         rounds: Selection step of each kept effect.
         p_value: p-value of the test whether physics is missing.
         p_after: p-value of the test whether further physics is missing.
         loudest: Generic family or effect with the least p-value at the end of the search.
-        steps: Steps of the search.
         unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
             effects explain, or None without such recordings or without such a mismatch.
     """
@@ -231,13 +216,6 @@ def search(
 
     Each effect is judged at the end, with all other effects in the model: two effects may together
     explain the whole mismatch although each of them alone explains little.
-
-    Args:
-        baseline: Fit of the nominal model.
-        terms: Effects to choose from.
-        rng: Random generator for the sign flips.
-        progress: Called with the current step.
-        options: Options of the search.
     """
     return _Selection(baseline, terms, rng, progress, options).run()
 
@@ -247,11 +225,6 @@ def missing_test(joint: Joint, left: Sequence[Effect], rng: np.random.Generator)
 
     Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
     full amplitude from row to row are tested in any case, because the noise estimate contains them.
-
-    Args:
-        joint: The fit.
-        left: Effects that may be missing.
-        rng: Random generator for the sign flips.
     """
     beyond = beyond_noise(joint)
     shown = [t for t in left if t.fast or beyond & {*judging_equations(joint, t)}]

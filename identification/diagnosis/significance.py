@@ -248,10 +248,6 @@ def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
     At rest friction is known only to be within its static limit, so that a torque beyond the limit
     does not appear in the mismatch. A possible cause is a drive that has switched its torque off
     but still logs the requested torque.
-
-    Args:
-        views: All recordings.
-        unit: Unit of the torque.
     """
     return tuple(line for view in views for line in _rests_of(view, views, unit))
 
@@ -286,9 +282,6 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
 def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
     """Return a text for each recording that contains a large part of the mismatch of the corrected
     model, with the interval of time.
-
-    Args:
-        traces: Mismatch of the recordings that were fitted.
     """
     lines = []
     for equation in dict.fromkeys(t.equation for t in traces):

@@ -38,7 +38,6 @@ class Candidate:
 
     Attributes:
         name: Name of the effect, or of a generic family.
-        shape: Nonlinear parameters of the effect.
         coefficients: Least-squares coefficients, in the units of the term, shape (k,).
         gain: Sum of whitened squares that the effect explains.
         penalty: Expected sum of whitened squares that the effect explains by chance (Takeuchi);
@@ -128,13 +127,9 @@ class Stack:
     """Whitened rows of all equations, with the nominal tangent and the effect basis projected out.
 
     Attributes:
-        equations: Equations in the order of the stack.
-        nominal: Nominal values of the equations.
-        basis: Orthonormal columns of each equation's tangent.
         effect_basis: Orthonormal columns of the selected effects, shape (n, g).
         residual: Whitened residual after projection, shape (n,).
         block: Block of each row, shape (n,).
-        blocks: Number of blocks.
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
         cache: Regressors that do not depend on the nominal values, by term and nonlinear
             parameters; all stacks of the same recordings use this cache.

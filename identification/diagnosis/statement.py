@@ -53,17 +53,7 @@ def sentence(
     recordings: Sequence[str] = (),
     channel: str = "current",
 ) -> str:
-    """Return the finding of one effect with its parameters, as values followed by 90 % intervals.
-
-    Args:
-        entry: Row of the catalogue.
-        estimates: Name of each parameter of the sentence to its estimate.
-        recordings: Names of the recordings in which the effect shows.
-        channel: Logged quantity from which the drive's torque is computed.
-
-    Raises:
-        KeyError: The sentence names a parameter without an estimate.
-    """
+    """Return the finding of one effect with its parameters and their 90 % intervals."""
     words = []
     for text, name, form, _ in Formatter().parse(entry.sentence):
         words.append(text)
@@ -85,9 +75,6 @@ def finding(
     """Return the sentence of an effect with the effect's name and the assumption that it violates.
 
     The arguments are those of :func:`sentence`.
-
-    Raises:
-        KeyError: The sentence names a parameter without an estimate.
     """
     what = f"{title(entry.name)} ({entry.group})"
     return f"{sentence(entry, estimates, recordings, channel)}: {what}, against {entry.assumption}"
@@ -150,17 +137,7 @@ def statement(
     unseen: Sequence[str],
     reason: Reason | None = None,
 ) -> str:
-    """Return the sentence that states a verdict.
-
-    Args:
-        verdict: The verdict.
-        effects: Identified effects.
-        main: Errors of the equation in which the mismatch is judged.
-        where: Location of the mismatch, or None if unknown.
-        p_value: p-value of the test whether physics is missing.
-        unseen: Names of effects that the recordings cannot show.
-        reason: Reason why the verdict is *nothing missing* in spite of a mismatch, or None.
-    """
+    """Return the sentence that states a verdict."""
     error = (
         f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
         f"{main.noise_floor_rms:.3g}"

@@ -33,12 +33,7 @@ from identification.views.view import View, lacks_common_origin, one_clock
 def unrecorded_effects(
     fitted: Sequence[Recording], views: Sequence[View]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Return effects to exclude from the search, and warnings that state the reason.
-
-    Args:
-        fitted: Recordings to fit.
-        views: Views of these recordings.
-    """
+    """Return effects to exclude from the search, and warnings that state the reason."""
     absent = _not_on(fitted[0].bench)
     warnings = []
     if lacks_common_origin(views):
@@ -79,14 +74,7 @@ step.
 def unexplained(
     found: Search, verdict: Verdict, reason: Reason | None, rng: np.random.Generator
 ) -> tuple[str, ...]:
-    """Return all texts on the part of the mismatch that the effects do not explain.
-
-    Args:
-        found: The search.
-        verdict: Verdict on the search.
-        reason: Reason of a verdict *outside the catalogue*; None for other verdicts.
-        rng: Random generator for the bands of the maps.
-    """
+    """Return all texts on the part of the mismatch that the effects do not explain."""
     outside = () if reason is None else _reason_texts(reason, rng)
     fitted = " and ".join(title(e.term.name) for e in found.final.effects)
     within = (

@@ -60,9 +60,6 @@ class _Point:
     """Parameters and their residual.
 
     Attributes:
-        nominal: Nominal values within their limits.
-        effects: Effects with coefficients.
-        stack: Stack at these values.
         left: Whitened residual, shape (n,). In all equations except the torque equation, constants
             that are not reported, such as the zero of an encoder, are projected out.
     """
@@ -339,12 +336,7 @@ def _steady_samples(recordings: Sequence[Recording], bandwidth_Hz: float) -> int
 
 
 def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
-    """Return views of the recordings to fit, and the fit of the nominal model to these recordings.
-
-    Raises:
-        RecordingError: The recordings do not determine the nominal model, or do not support a
-            declared term.
-    """
+    """Return views of the recordings to fit, and the fit of the nominal model to them."""
     fitted = dataset.part("fit")
     start = estimated_nominal(dataset, fitted, bandwidth_Hz)
     here = views(fitted, bandwidth_Hz, campaign=dataset.recordings)
@@ -408,12 +400,7 @@ def _mean_square(joint: Joint) -> float:
 def estimated_nominal(
     dataset: Dataset, recordings: Sequence[Recording], bandwidth: float
 ) -> Nominal:
-    """Estimate the nominal parameters from some recordings of a dataset, by variable projection.
-
-    Raises:
-        RecordingError: The unloaded or the loaded recordings have no motion, or all recordings are
-            loaded.
-    """
+    """Estimate the nominal parameters from some recordings of a dataset, by variable projection."""
     prepared = [prepare(r, bandwidth) for r in recordings]
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
     loaded = [p for p in prepared if p.recording.stage == "loaded"]
@@ -443,11 +430,7 @@ def estimated_nominal(
 
 
 def fitted_part(dataset: Dataset) -> tuple[Recording, ...]:
-    """Return the recordings with role ``fit``.
-
-    Raises:
-        RecordingError: No recording has the role ``fit``.
-    """
+    """Return the recordings with role ``fit``."""
     fitted = dataset.part("fit")
     if not fitted:
         raise RecordingError(
@@ -458,11 +441,7 @@ def fitted_part(dataset: Dataset) -> tuple[Recording, ...]:
 
 
 def long_enough(dataset: Dataset, bandwidth_Hz: float | None) -> Choice:
-    """Return the bandwidth of all errors, and the recordings that are long enough for its filter.
-
-    Raises:
-        RecordingError: No recording has the role ``fit``.
-    """
+    """Return the bandwidth of all errors, and the recordings long enough for its filter."""
     fitted_part(dataset)
     return choose_bandwidth(dataset, bandwidth_Hz, GREATEST_BANDWIDTH_HZ, _steady_samples)
 
@@ -477,9 +456,6 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Choice:
     Args:
         dataset: The dataset.
         bandwidth_Hz: Bandwidth of all errors, or None for a bandwidth chosen from the recordings.
-
-    Raises:
-        RecordingError: No recording has the role ``fit``.
     """
     dataset, bandwidth, short = long_enough(dataset, bandwidth_Hz)
     fitted = dataset.part("fit")

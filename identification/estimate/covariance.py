@@ -36,12 +36,6 @@ def bound(matching: BlockArrow) -> Array:
     Args:
         matching: d residuals / d unknowns, of r rows and p columns, the mean over matching
             half cycles (``own.mixed(1 / count, mean over the others)``).
-
-    Returns:
-        Shape (p, p).
-
-    Raises:
-        numpy.linalg.LinAlgError: The recordings do not excite all unknowns.
     """
     normal, scale = equilibrated(matching.product())
     silent = np.flatnonzero(np.diag(normal) == 0.0)
@@ -55,11 +49,9 @@ def replicate_information(
     """Return each segment's information on the free parameters, from replicates (M37, M12), shape
     (m, p, p).
 
-    Args:
-        point: Point at which the sensitivities are computed.
-        matching: Sensitivities from matching half cycles without variance inflation, for ties and
-            for samples for which there are fewer than two noise realisations.
-        replicates: Replicates with at least two noise realisations.
+    ``matching``: sensitivities from matching half cycles without variance inflation, for ties and
+    for samples for which there are fewer than two noise realisations. ``replicates``: replicates
+    with at least two noise realisations.
     """
     count = len(point.free)
     rows = np.column_stack([matching.parameters, matching.own])
@@ -78,9 +70,6 @@ def replicate_information(
 
 def replicate_bound(information: Array) -> Array | None:
     """Return the Cramer-Rao bound from replicates (M38).
-
-    Args:
-        information: Information of each segment (:func:`replicate_information`), shape (m, p, p).
 
     Returns:
         Covariance of the free parameters, shape (p, p), or None if the information is singular.
@@ -116,9 +105,7 @@ def _products(segment: ReplicatedSegment, matching: Array) -> Array:
 
 
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
-"""Weight of the prior of the scatter (M41), as a number of segments: without and with
-replicates.
-"""
+"""Weight of the prior of the scatter (M41), in segments: without and with replicates."""
 _FARTHEST = 1.0
 """Change of the logarithm of a parameter above which the parameter is not changed together with the
 inertia: the linearisation is invalid, because the parameter is not identifiable (for example a
@@ -151,10 +138,8 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
     scores from segment to segment (M40, M41, and Liang and Zeger, Biometrika 73 (1986) 13); the
     scaling never reduces the variance of the inertia.
 
-    Args:
-        point: Point at the estimate.
-        replicates: Replicates of the experiment at the estimate, for the bound, the prior of the
-            scatter, and instruments of the inertia.
+    ``replicates``: replicates of the experiment at the estimate, for the bound, the prior of the
+    scatter, and instruments of the inertia.
     """
     x = point.origin()
     held = point.weighted()
@@ -254,9 +239,7 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
 def named_covariances(
     found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return the achieved covariance and its Cramer-Rao bound in the order of ``names``, with
-    static levels in place of rises, shape (p, p) each; no achieved variance is below its bound.
-    """
+    """Return the achieved covariance and its bound for ``names``, with static levels, (p, p)."""
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
     achieved, floor = (
@@ -270,19 +253,13 @@ def not_below(achieved: Array, floor: Array) -> Array:
     the variance of no linear combination is reduced.
 
     The scatter of few segments may by chance be less than their noise.
-
-    Args:
-        achieved: Covariance, shape (p, p).
-        floor: Cramer-Rao bound, shape (p, p).
     """
     missing = np.maximum(np.diag(floor) - np.diag(achieved), 0.0)
     return np.asarray(achieved + np.diag(missing))
 
 
 def rise_to_static(names: Sequence[str]) -> Array:
-    """Return the matrix of the transformation from (Coulomb level, rise) to (Coulomb level, static
-    level), shape (p, p).
-    """
+    """Return the matrix that turns (Coulomb level, rise) into (Coulomb, static level), (p, p)."""
     turn = np.eye(len(names))
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
         if coulomb in names and static in names:
@@ -316,15 +293,7 @@ def uncertain_constants(recordings: Sequence[Recording]) -> tuple[Constant, ...]
 
 
 def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[KnownConstant, ...]:
-    """Return the effect of one standard deviation of each uncertain constant on the estimates.
-
-    Args:
-        active: Recordings to fit, prepared.
-        solve: Function that solves the equation error of the recordings.
-
-    Raises:
-        RecordingError: The fit fails with a constant raised or lowered by its standard deviation.
-    """
+    """Return the effect of one standard deviation of each uncertain constant on the estimates."""
     found = []
     for constant in uncertain_constants([p.recording for p in active]):
         low, high = (
@@ -365,13 +334,9 @@ def _read(recording: Recording, place: str) -> float:
 
 
 CONTRADICTS = 2.6
-"""Difference between the prior and the estimate from the recordings, in standard deviations, above
-which a warning is given; by chance one difference in a hundred is greater.
-"""
+"""Difference of prior and estimate, in standard deviations, from which a warning is given."""
 _UNKNOWN = 1e8
-"""Standard deviation that is assumed for a parameter that the recordings do not determine, relative
-to the standard deviation of the prior.
-"""
+"""Assumed standard deviation of a parameter that is not determined, over that of the prior."""
 
 
 def with_priors(
@@ -380,10 +345,7 @@ def with_priors(
     """Return values and covariance after combination with the priors, the effect of each prior, and
     warnings.
 
-    Args:
-        values: Estimates without priors, by name.
-        spread: Covariance of the estimates.
-        known: Prior value and standard deviation of each parameter with a prior, by name.
+    ``known``: prior value and standard deviation of each parameter with a prior, by name.
     """
     names = [n for n in known if n in spread.names]
     warnings = [

@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +47,7 @@ from identification.estimate.refinement import (
     refine_pieces,
     refine_recordings,
 )
+from identification.estimate.searches import Refined
 from identification.estimate.uncertainty import bootstrap, profiles
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress, silent
@@ -79,6 +82,7 @@ def identify(
     profile: bool = False,
     draws: int = 0,
     settings: EstimatorSettings = DEFAULT,
+    in_pieces: bool = False,
 ) -> Identification:
     """Identify the nine parameters in two stages; if no recording is loaded, the five system
     parameters.
@@ -94,45 +98,54 @@ def identify(
             several times as long.
         draws: Number of bootstrap samples, 0 for none.
         settings: Settings of the estimator.
-
-    Raises:
-        RecordingError: The recordings do not determine the model; the message says what is missing.
+        in_pieces: Whether to process the recordings piece by piece, without replicates, profiles
+            and bootstrap. Memory in addition to the recordings then grows by 14 bytes per sample,
+            and traces cover the first piece of each recording only.
     """
     started = perf_counter()
     tell = progress or silent
     chance = rng or np.random.default_rng(0)
     if not dataset.part("fit"):
         raise RecordingError("no recording has role 'fit'; at least one is needed")
+    if in_pieces and bandwidth_Hz is None:
+        bandwidth_Hz = common_bandwidth([pieces(r)[0] for r in dataset.part("fit")])
     dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
-    fitted = dataset.part("fit")
+    cut = [(r, pieces(r) if in_pieces else [r]) for r in dataset.recordings]
+    fitted = [parts for r, parts in cut if r.role == "fit"]
+    every = [part for parts in fitted for part in parts]
     tell("unloaded", 0.0)
-    every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
-    active = [p for p in every if p.recording.role == "fit"]
-    model = dataset.model
+    prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
+    active = [p for r, parts in prepared if r.role == "fit" for p in parts]
+    model, limits = dataset.model, settings.acceptance
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
-    doubts = varpro.averaging(active, values, names, model.alpha)
     noise = equation_noise(by_load(active)[0], values, model.alpha)
+
+    def refined(correlated: bool) -> Refined | str:
+        if in_pieces:
+            heads = [parts[0] for parts in fitted]
+            return refine_pieces(
+                heads, every, values, names, model, partial(tell, "joint"), correlated, noise
+            )
+        return refine_recordings(every, values, names, model, correlated, tell, limits, noise)
+
     tell("joint", 0.0)
-    found = refine(
-        lambda correlated: refine_recordings(
-            fitted, values, names, model, correlated, tell, settings.acceptance, noise
-        ),
-        active,
-        values,
-        names,
-        model.alpha,
-        settings.acceptance,
-    )
-    found = corrected(found, chance, settings.replicates, tell)
-    curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
+    found = refine(refined, active, values, names, model.alpha, limits)
+    curves: tuple[Profile, ...] = ()
+    resampled: tuple[Resampled, ...] = ()
+    notes = [_TOO_LONG] if profile or draws else []
+    doubts: tuple[str, ...] = ()
+    if not in_pieces:
+        doubts = *varpro.averaging(active, values, names, model.alpha), *_unresolved(active)
+        found = corrected(found, chance, settings.replicates, tell)
+        curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(
         found,
         stages=(*stages, *found.stages),
-        warnings=(*found.warnings, *notes, *short, *doubts, *_unresolved(active)),
+        warnings=(*found.warnings, *notes, *short, *doubts),
     )
-    result = identification(dataset, [(p.recording, [p]) for p in every], whole)
+    result = identification(dataset, prepared, whole)
     seconds = perf_counter() - started
     return replace(result, profiles=curves, resampled=resampled, seconds=seconds)
 
@@ -144,10 +157,7 @@ def identification(
 ) -> Identification:
     """Return the result of the default method.
 
-    Args:
-        dataset: The dataset that was identified.
-        prepared: Every recording with its pieces; traces contain the first piece only.
-        found: The estimate, with all stages and warnings.
+    ``prepared``: every recording with its pieces; traces contain the first piece only.
     """
     model = dataset.model
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
@@ -273,10 +283,6 @@ def solve_stages(
 ) -> tuple[dict[str, float], list[Convergence]]:
     """Solve the unloaded and the loaded stage by variable projection; return all values by name and
     the record of each search.
-
-    Raises:
-        RecordingError: A stage has no motion, or all recordings are loaded, so that system and load
-            friction cannot be separated.
     """
     values: dict[str, float] = {}
     stages: list[Convergence] = []
@@ -322,9 +328,7 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names of the parameters to estimate: all that are not fixed and belong to a
-    friction term of the model.
-    """
+    """Return the names of the parameters to estimate: not fixed, and in a friction term."""
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
@@ -333,55 +337,26 @@ def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
 
 
 LONG_SAMPLES = 200_000
-"""Number of samples to fit, over all recordings, above which recordings are processed in pieces;
-with fewer samples, processing without pieces is faster.
-"""
+"""Number of samples to fit above which recordings are processed in pieces, which is faster."""
+_TOO_LONG = (
+    "no profiles and no bootstrap: these are computed only if all recordings together have "
+    f"at most {LONG_SAMPLES} samples; use shorter recordings"
+)
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
-"""Number of samples before the end of a piece in which a rest is searched, at which the recording
-is cut.
-"""
+"""Number of samples before the end of a piece in which a rest is searched for the cut."""
 
 
-def identify_any_length(
-    dataset: Dataset,
-    *,
-    bandwidth_Hz: float | None = None,
-    rng: np.random.Generator | None = None,
-    progress: Progress | None = None,
-    profile: bool = False,
-    draws: int = 0,
-) -> Identification:
-    """Identify by the default method, piece by piece if the recordings are long; the arguments are
+def identify_any_length(dataset: Dataset, **options: Any) -> Identification:
+    """Identify by the default method, piece by piece if the recordings are long; the options are
     those of :func:`default.identify`.
-
-    Raises:
-        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
-    fitted = dataset.part("fit")
-    if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
-        return identify(
-            dataset,
-            bandwidth_Hz=bandwidth_Hz,
-            rng=rng,
-            progress=progress,
-            profile=profile,
-            draws=draws,
-        )
-    found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
-    if profile or draws:
-        limit = (
-            "no profiles and no bootstrap: these are computed only if all recordings together have "
-            f"at most {LONG_SAMPLES} samples; use shorter recordings"
-        )
-        found = replace(found, warnings=(*found.warnings, limit))
-    return found
+    samples = sum(len(r.time) for r in dataset.part("fit"))
+    return identify(dataset, in_pieces=samples > LONG_SAMPLES, **options)
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests if possible; the
-    channels of a piece are views of those of the recording.
-    """
+    """Cut a recording into views of about ``PIECE_SAMPLES`` samples, at rests if possible."""
     n, start = len(recording.time), 0
     found = []
     while start < n:
@@ -391,54 +366,6 @@ def pieces(recording: Recording) -> list[Recording]:
         )
         start = stop
     return found
-
-
-def identify_long(
-    dataset: Dataset, *, bandwidth_Hz: float | None = None, progress: Progress | None = None
-) -> Identification:
-    """Identify piece by piece; memory in addition to the recordings grows by 14 bytes per sample.
-
-    Traces cover the first piece of each recording only.
-
-    Raises:
-        RecordingError: The recordings do not determine the model; the message says what is missing.
-    """
-    started = perf_counter()
-    tell = progress or silent
-    if bandwidth_Hz is None:
-        bandwidth_Hz = common_bandwidth([pieces(r)[0] for r in dataset.part("fit")])
-    dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
-    model = dataset.model
-    cut = [(r, pieces(r)) for r in dataset.recordings]
-    heads = [parts[0] for r, parts in cut if r.role == "fit"]
-    tell("unloaded", 0.0)
-    prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
-    fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
-    values, stages = solve_stages(*by_load(fit), model, tell)
-    names = free_names(values, model)
-    noise = equation_noise(by_load(fit)[0], values, model.alpha)
-    tell("joint", 0.0)
-    every = [part for r, parts in cut if r.role == "fit" for part in parts]
-    found = refine(
-        lambda correlated: refine_pieces(
-            heads,
-            every,
-            values,
-            names,
-            model,
-            lambda share: tell("joint", share),
-            correlated,
-            noise,
-        ),
-        fit,
-        values,
-        names,
-        model.alpha,
-    )
-    tell("joint", 1.0)
-    whole = replace(found, stages=(*stages, *found.stages), warnings=(*found.warnings, *short))
-    result = identification(dataset, prepared, whole)
-    return replace(result, seconds=perf_counter() - started)
 
 
 def _cut(recording: Recording, near: int) -> int:

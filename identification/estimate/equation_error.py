@@ -47,9 +47,7 @@ def _moving(p: Prepared) -> BoolArray:
 
 
 SURE_REVERSAL = 0.01
-"""Least way back that counts as a reversal, as a share of the travel, and at least three steps of
-the encoder.
-"""
+"""Least way back that counts as a reversal, over the travel; and at least three encoder steps."""
 
 
 def _reversals(p: Prepared) -> int:
@@ -75,11 +73,7 @@ def _reversals_per_s(prepared: Sequence[Prepared]) -> float:
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
-    """Check that a stage has moving samples with nonzero torque.
-
-    Raises:
-        RecordingError: Too few samples are in motion, or the drive's torque is zero in all of them.
-    """
+    """Check that a stage has moving samples with nonzero torque."""
     moving = [_moving(p) for p in prepared]
     count = samples_in_motion(prepared)
     names = ", ".join(p.recording.name for p in prepared)
@@ -111,9 +105,7 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
 
 
 def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return sgn(omega) exp(-|omega/omega_s|^alpha), passed through the recording's filter, shape
-    (n,).
-    """
+    """Return the filtered sgn(omega) exp(-|omega/omega_s|^alpha), shape (n,)."""
     return p.filter(stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
@@ -128,9 +120,7 @@ def gear_sign(p: Prepared) -> Array:
 
 
 def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return |pendulum torque| sgn(omega) exp(-|omega/omega_s|^alpha), passed through the
-    recording's filter, N m, shape (n,).
-    """
+    """Return the filtered |pendulum torque| sgn(omega) exp(-|omega/omega_s|^alpha), N m, (n,)."""
     return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
@@ -175,8 +165,6 @@ class Stage:
         static: Ms or mu_s, or None if the model has no static friction above Coulomb friction.
         speed: omega_sf or omega_sL, or None if the model has no Stribeck speed.
         others: Names of the remaining coefficients.
-        prepared: Recordings of the stage.
-        model: Declared terms, fixed values and alpha.
         known: Parameters from the unloaded stage, which are fixed in the loaded stage.
     """
 
@@ -225,9 +213,7 @@ class Stage:
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and the greatest Stribeck speed that are tried, rad/s; (1, 1) if the
-        model has no Stribeck speed.
-        """
+        """Return the range of Stribeck speeds that are tried, rad/s; (1, 1) without one."""
         if self.speed is None:
             return 1.0, 1.0
         if self.speed in self.model.fixed:
@@ -301,10 +287,6 @@ class Stage:
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     """Return the unloaded stage (eq. 16) with the declared friction model. Its parameters are Mc,
     Ms, omega_sf, sigma_2, J and, if declared, mu_gc, mu_gs and the offset.
-
-    Raises:
-        RecordingError: The friction model depends on a pendulum's torque, and no recording has a
-            pendulum.
     """
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
@@ -531,9 +513,7 @@ def averaging(
 
 
 SPEED_CELLS, ACCELERATION_CELLS = 8, 4
-"""Numbers of ranges of speed and of acceleration, with equal numbers of samples, in each of which a
-model discrepancy counts as constant.
-"""
+"""Numbers of ranges of speed and acceleration in which a model discrepancy is constant."""
 
 
 def discrepancy(
@@ -554,13 +534,7 @@ def discrepancy(
     residual without its noise, at least ``rms`` (model discrepancy: Kennedy and O'Hagan, Journal of
     the Royal Statistical Society B 63 (2001) 425).
 
-    Args:
-        prepared: Recordings at one bandwidth.
-        values: Name to value.
-        names: Parameters.
-        alpha: Stribeck exponent.
-        rms: Rms of the residual beyond its noise, N m or N.
-        noise: Rms of the noise, N m or N.
+    ``rms``: rms of the residual beyond its noise, N m or N. ``noise``: rms of the noise, N m or N.
     """
     here = [p for p in prepared if np.any(p.used)]
     jacobian = _linearised(here, values, names, alpha).jacobian
@@ -590,13 +564,9 @@ SAME = 2e-3
 LEAST_CORRELATION = 0.95
 """Least autocorrelation of the command at a lag that counts as its period."""
 NEAR, ROWS = 0.05, 2000
-"""Range of the lags that are tried around the first lag of high autocorrelation, as a share of this
-first lag, and number of samples that are compared at each lag.
-"""
+"""Range of lags around the first high autocorrelation, over its lag, and samples compared."""
 NEIGHBOURS = 0.02
-"""Share of the period, or of the duration of a repeat, over which inputs must be equal before and
-after a sample.
-"""
+"""Share of the period, or repeat, over which inputs must be equal around a sample."""
 LEAST_SAMPLES = 100
 
 
@@ -623,11 +593,8 @@ def noise_floor(
     """Return the floor from periods within recordings and from repeated recordings, or None if no
     motion is repeated.
 
-    Args:
-        prepared: Recordings at one bandwidth.
-        values: Parameters of a fit; the repeating part of the fit's error cancels in the
-            differences.
-        alpha: Stribeck exponent.
+    ``values``: parameters of a fit; the repeating part of the fit's error cancels in the
+    differences.
     """
     residuals = {id(p): p.torque - model_torque(p, values, alpha) for p in prepared}
     total = samples = 0.0
@@ -739,9 +706,7 @@ LEAST_S = 0.4
 SETTLING_SHARE = 0.4
 """Share of each interval that is omitted at the start, while the joint accelerates."""
 SMOOTHING_S = 0.02
-"""Averaging time of the speed whose spread is computed, s; averaging removes the effect of encoder
-steps, but not slips.
-"""
+"""Averaging time of the speed, s: removes the effect of encoder steps, but not slips."""
 UNIFORM = 0.2
 """Greatest spread of the speed, rms relative to the mean, that counts as uniform motion."""
 _SPEED_UNIT = 1e-9  # rad per sample: commanded speeds count as equal if they differ by less
@@ -754,7 +719,6 @@ class UniformPoint:
     """One interval of constant commanded speed.
 
     Attributes:
-        recording: Name of the recording.
         speed: Commanded speed with sign, rad/s.
         torque: Mean torque of the motor at the joint, N m.
         spread: Rms deviation of the measured speed from its mean, relative to the commanded speed.
@@ -779,11 +743,7 @@ class UniformPoint:
 
 
 def uniform_points(recording: Recording) -> list[UniformPoint]:
-    """Return a point for each interval of constant commanded speed.
-
-    Raises:
-        KeyError: The recording lacks command, angle, or both torque and current.
-    """
+    """Return a point for each interval of constant commanded speed."""
     channels = recording.channels
     steps = np.diff(channels["command"])
     ends = np.flatnonzero(np.abs(np.diff(steps)) > _SPEED_UNIT) + 1

@@ -40,9 +40,7 @@ class Replicate:
     noise: int
 
     def inflated(self) -> tuple[BlockArrow, Array]:
-        """Return sensitivities and residuals with the variance inflation (M13) that is used for the
-        estimate.
-        """
+        """Return sensitivities and residuals with the variance inflation (M13) of the estimate."""
         share = 1.0 / self.point.inflation[self.point.owners]
         return self.sensitivities.scaled(share), self.residuals * share
 
@@ -80,9 +78,7 @@ class ReplicatedSegment:
     curves: tuple[Curve, ...]
 
     def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
-        """Return the mean of one or more curves at the segment's samples, (n, p + 1), and the
-        number of curves at each sample, (n, 1).
-        """
+        """Return the mean of the curves at the segment's samples, (n, p + 1), and their number."""
         length = self.rows.stop - self.rows.start
         return mean_curve([c.values for c in curves], [c.onset for c in curves], length, self.onset)
 
@@ -140,11 +136,8 @@ def mean_curve(
     """Return the mean of curves shifted to one ``onset``, shape (length, p), and the number of
     curves at each sample, (length, 1).
 
-    Args:
-        curves: One or more curves, of any lengths.
-        onsets: Breakaway time of each curve, in samples after its first sample.
-        length: Length of the mean.
-        onset: Breakaway time of the mean.
+    ``onsets``: breakaway time of each curve, in samples after its first sample. ``length``: length
+    of the mean. ``onset``: breakaway time of the mean.
     """
     total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
     for curve, begun in zip(curves, onsets, strict=True):
@@ -167,9 +160,7 @@ def _add_shifted(
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Width of the smoothing, as the standard deviation of a Gaussian in samples: a share of the time
-since breakaway, less a constant, and at most 2^7.
-"""
+"""Width of the Gaussian smoothing, samples: share of the time since breakaway, constant, most."""
 _TRUNCATED = 4.0
 """Number of standard deviations at which the smoothing Gaussian is truncated."""
 
@@ -177,10 +168,6 @@ _TRUNCATED = 4.0
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
     """Return the instruments of every residual; zero at samples that lie in no other matching
     segment.
-
-    Args:
-        point: Point at which the sensitivities are computed.
-        jacobian: d residuals / d x at the point.
     """
     count = len(point.free)
     both_ways = np.array([k == OFFSET for k in point.free] + [False])
@@ -225,10 +212,7 @@ def replicate_instruments(
     steps of command and encoder is the same in all replicates, and with a coarse encoder the
     samples of these responses contain most information on the inertia.
 
-    Args:
-        point: Point at which the sensitivities are computed.
-        plain: Instruments from matching half cycles.
-        replicates: One or more replicates.
+    ``plain``: instruments from matching half cycles.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
     for segment in replicated_segments(point, replicates):
@@ -292,9 +276,7 @@ class Equation:
 def influence_on_inertia(
     point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array
 ) -> Array:
-    """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape
-    (r,).
-    """
+    """Return the decrease of ln J per unit of each residual (M30), shape (r,)."""
     return z.along(_mixture(point, z, jacobian, residual))
 
 
@@ -311,9 +293,7 @@ def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array)
 
 
 def equation(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
-    """Return the estimating equation of the inertia with instruments that do not depend on the
-    residuals.
-    """
+    """Return the equation of the inertia with instruments that are independent of the residuals."""
     influence = influence_on_inertia(point, z, jacobian, residual)
     return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
 
@@ -341,9 +321,7 @@ def equation_of_half_cycles(
 
 
 def least_variance(one: Equation, other: Equation) -> Equation:
-    """Return the weighted mean of two equations for one unknown that has the least variance (M32),
-    with nonnegative weights.
-    """
+    """Return the nonnegative weighted mean of two equations with the least variance (M32)."""
     a, b = one.influence, other.influence
     away = a - b
     share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
@@ -360,12 +338,8 @@ def combined_equation(
     """Return the least-variance combination of two estimating equations of the inertia: with
     instruments from matching half cycles, and with instruments from replicates (M32).
 
-    Args:
-        point: Point at which the sensitivities are computed.
-        z: Instruments from matching half cycles.
-        jacobian: d residuals / d x at the point.
-        residual: Residuals at the point.
-        replicates: Replicates; empty to use matching half cycles alone.
+    ``z``: instruments from matching half cycles. ``replicates``: replicates; empty to use matching
+    half cycles alone.
     """
     half_cycles = equation_of_half_cycles(point, z, jacobian, residual)
     if not replicates:
@@ -416,9 +390,7 @@ def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
 SOLVED = 3.0
 """Chi-square below which the estimating equations count as solved (M29)."""
 ROUNDS = 6
-"""Greatest number of rounds; in each round instruments, weights and derivatives are computed
-anew.
-"""
+"""Greatest number of rounds, each with new instruments, weights and derivatives."""
 _LEVEL_ROUNDS = (0, 2)
 _CHORDS = 8
 _HALVINGS = 5
@@ -427,18 +399,12 @@ _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
 _MOST = 3.0
-"""Information of a segment, relative to the median of its recording's segments, above which the
-variance of the segment is inflated (M13).
-"""
+"""Information of a segment over the recording's median above which it is inflated (M13)."""
 _CHORD_SETTLED = 0.02
 
 
 def solve(point: Point) -> Point:
-    """Return the solution of the estimating equations, by a search that starts from ``point``.
-
-    Raises:
-        numpy.linalg.LinAlgError: The instruments do not determine the parameters.
-    """
+    """Return the solution of the estimating equations, by a search that starts from ``point``."""
     count = len(point.free)
     for turn in range(ROUNDS):
         if turn in _LEVEL_ROUNDS:
@@ -507,9 +473,6 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
     Args:
         point: Point at the end of the unloaded and loaded fits.
         refine: Function that maximises the likelihood over the free parameters from a point.
-
-    Raises:
-        numpy.linalg.LinAlgError: The instruments do not determine the parameters.
     """
     free = point.free
     others = tuple(k for k in free if k != INERTIA)
@@ -558,9 +521,7 @@ def _inertia_step(point: Point) -> tuple[float, float]:
 
 
 def segment_inflation(point: Point, others: Sequence[int]) -> Array:
-    """Return the variance inflation of each segment at a point for the estimation of ``others``
-    among its free parameters, shape (m,) (M13); the inflation stored in the point is ignored.
-    """
+    """Return each segment's variance inflation for the estimate of ``others``, (m,) (M13)."""
     held = replace(point, inflation=np.ones(point.breakaways)).weighted()
     x = point.origin()
     # Derivatives with respect to all free parameters are computed, because the callers need them

@@ -35,13 +35,9 @@ from identification.result import Fit, Identification, Parameter
 from identification.simulate.closed_loop import Sums, compare, compare_angle, pooled, replay
 
 COARSE, FINE, NEAR = 12, 17, 1.8
-"""Number of trial Stribeck speeds over the whole range; number of trial Stribeck speeds near that
-of the fit to all recordings; and greatest factor between these two.
-"""
+"""Trial Stribeck speeds over the range, and near that of the fit; greatest factor of these."""
 STEP_S = 1e-3
-"""Integration step, s; the step causes an error of 0.04 mrad rms in angle errors of 20 mrad and
-more.
-"""
+"""Integration step, s: its error is 0.04 mrad rms, of angle errors of 20 mrad and more."""
 
 Indices = NDArray[np.int64]
 
@@ -73,9 +69,6 @@ class Redraw:
     Stribeck speeds omega_s the cost is interpolated by a parabola in log omega_s.
 
     Args:
-        model: Model with the friction of the rung.
-        fitted: Recordings to fit.
-        scored: Recordings to score, at the same bandwidth.
         centre: Stribeck speed of the fit to all recordings, rad/s.
         simulated: Whether to simulate the control loop too.
     """
@@ -99,9 +92,7 @@ class Redraw:
         ]
 
     def __call__(self, to_fit: Indices, to_score: Indices) -> Score:
-        """Fit the recordings ``to_fit`` and score the recordings ``to_score``; each list may
-        contain a recording more than once.
-        """
+        """Fit and score recordings by their numbers, which may repeat."""
         values = self._solve(to_fit)
         angles = self._angles(to_score, values) if self._simulated else None
         return Score(
@@ -182,8 +173,6 @@ class Rung:
     """One model of the ladder.
 
     Attributes:
-        friction: Name of the rung.
-        result: The fit to all recordings with role ``fit``.
         train: Torque error on the fitted recordings, in the unit of the fit.
         scored: Torque error on the recordings with role ``validate``, or None without such
             recordings.
@@ -214,16 +203,10 @@ def climb(
 ) -> tuple[Rung, ...]:
     """Fit and score every rung for which the recordings have the necessary channels and loads.
 
-    Args:
-        dataset: Unloaded recordings; rungs with load-dependent friction need a pendulum.
-        bandwidth_Hz: Bandwidth of torque and regressors, or None for the bandwidth that
-            :func:`identification.estimate.default.identify` chooses.
-        rng: Random generator for the drawn recordings and the simulated replicates.
-        replicates: Number of bootstrap draws.
-        progress: Called with the name of the step and the share done.
-
-    Raises:
-        RecordingError: A recording is loaded, or cannot be fitted.
+    ``dataset``: unloaded recordings; rungs with load-dependent friction need a pendulum.
+    ``bandwidth_Hz``: bandwidth of torque and regressors, or None for the bandwidth that
+    :func:`identification.estimate.default.identify` chooses. ``rng``: random generator for the
+    drawn recordings and the simulated replicates. ``replicates``: number of bootstrap draws.
     """
     tell = progress or silent
     chosen, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
@@ -311,10 +294,6 @@ class Moved:
     """Comparison of two estimates of one parameter, from two groups of recordings.
 
     Attributes:
-        name: Name of the parameter.
-        unit: Unit, SI.
-        first: Estimate from the first recordings.
-        second: Estimate from the other recordings alone.
         difference: Second estimate less first estimate, or None if the parameter is not
             identifiable from the first or from the other recordings.
         joint: Half width of the 90 % interval of the difference, for independent estimates.
@@ -339,8 +318,6 @@ class Transfer:
         own: Torque error of the model identified on the other recordings.
         floor: Noise floor of the other recordings, or None if they contain no repeated motion.
         by_recording: Torque error of the transferred model on each recording.
-        parameters: Comparison of each parameter.
-        other: The identification of the other recordings.
     """
 
     fit: Fit
@@ -363,15 +340,9 @@ def transfer(
     The other recordings are identified with the model and bandwidth of the first fit; those with
     role ``validate`` are not fitted.
 
-    Args:
-        first: The fit to transfer.
-        dataset: Dataset of the fit to transfer; its declared model applies to both datasets.
-        other: Other recordings.
-        rng: Random generator for the identification of the other recordings, or None for seed 0.
-
-    Raises:
-        RecordingError: The other recordings do not support the model, or include a recording to
-            which the model was fitted.
+    ``first``: the fit to transfer. ``dataset``: dataset of the fit to transfer; its declared model
+    applies to both datasets. ``rng``: random generator for the identification of the other
+    recordings, or None for seed 0.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
     recordings = other.part("fit")

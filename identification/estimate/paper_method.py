@@ -96,9 +96,7 @@ GENERATIONS = 1000
 _AT_BOUND = 1e-3  # distance from a bound, relative to the width of the box
 
 STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
-"""Parameters that each stage searches: Coulomb level, static level, Stribeck speed, viscous
-coefficient, and J in the unloaded stage.
-"""
+"""Parameters that each stage searches; the unloaded stage also searches J."""
 
 
 @dataclass(frozen=True)
@@ -121,17 +119,10 @@ def identify_paper(
 ) -> Identification:
     """Identify a dataset by the paper's method.
 
-    Args:
-        dataset: Recordings of one bench.
-        bandwidth_Hz: Bandwidth of the filter that all signals pass, or None for the one that
-            :func:`identification.estimate.bandwidth.choose_bandwidth` chooses.
-        rng: Source of all randomness.
-        progress: Called with the stage and the share of the stage's generations that is done.
-        generations: Greatest number of generations per stage.
-
-    Raises:
-        RecordingError: There is no unloaded recording to fit, or the joint does not move in a
-            recording.
+    ``bandwidth_Hz``: bandwidth of the filter that all signals pass, or None for the one that
+    :func:`identification.estimate.bandwidth.choose_bandwidth` chooses. ``progress``: called with
+    the stage and the share of the stage's generations that is done. ``generations``: greatest
+    number of generations per stage.
     """
     dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
@@ -198,9 +189,7 @@ class _Search:
     def solve(
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
-        """Return the values and estimates of one stage, and the record of its search; if all
-        parameters are fixed, there is no search and no record.
-        """
+        """Return values, estimates and record of one stage; no record if all is fixed."""
         names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)
         held = {name: fixed[name] for name in names if name in fixed}
@@ -227,9 +216,7 @@ class _Search:
         box: Mapping[str, tuple[float, float]],
         held: Mapping[str, float],
     ) -> Convergence:
-        """Run the genetic algorithm on one stage and record its best point after every
-        generation.
-        """
+        """Run the genetic algorithm on one stage, and record its best point by generation."""
         alpha = self.dataset.model.alpha
         misfit = TorqueMisfit(
             samples.torque, samples.velocity, samples.acceleration, samples.load, alpha
@@ -293,9 +280,6 @@ def collect(
 ) -> StageSamples:
     """Return the equations of one stage; in the loaded stage the terms of the system parameters are
     subtracted from the torque.
-
-    Raises:
-        RecordingError: There is too little motion, or a loaded recording has no contact force.
     """
     require_motion(prepared)
     parts = []
@@ -347,10 +331,7 @@ class StageProblem:
     """Cost and residuals of one stage over the unit cube, with a counter of evaluations.
 
     Args:
-        stage: ``unloaded`` or ``loaded``.
-        prepared: Recordings of the stage.
         known: The system parameters, which are fixed in the search of the loaded stage.
-        alpha: Stribeck exponent.
     """
 
     def __init__(
@@ -397,9 +378,7 @@ class StageProblem:
         return np.asarray(s.torque - friction - (inertia[0] if inertia else 0.0) * s.acceleration)
 
     def design(self, omega_s: float) -> Design:
-        """Return the linear least-squares problem at one Stribeck speed, for variable projection;
-        the rise replaces the static level.
-        """
+        """Return the linear problem at one Stribeck speed, with the rise for the static level."""
         s = self.samples
         shape = s.load * stribeck_shape(s.velocity, omega_s, self._alpha)
         columns = [self._dry, shape, s.load * s.velocity]
@@ -423,9 +402,7 @@ Optimiser = Callable[[StageProblem, np.random.Generator], Array]
 
 
 def variable_projection(problem: StageProblem, rng: np.random.Generator) -> Array:
-    """Search the Stribeck speed alone, as the default method does; linear least squares give the
-    other coordinates.
-    """
+    """Search the Stribeck speed alone; linear least squares give the other coordinates."""
     solution = projection.solve(problem.design, problem.low[2], problem.high[2])
     return problem.unlinear(solution.omega_s, solution.coefficients)
 
@@ -498,21 +475,13 @@ def compare(
 ) -> tuple[Contender, ...]:
     """Run every optimiser on the recordings to which the default method was fitted.
 
-    Args:
-        dataset: Recordings with role ``fit``, at least one of them unloaded; the declared model has
-            the nine nominal parameters.
-        default: Result of the default method on the dataset; the comparison uses its bandwidth, and
-            its values as the reference.
-        seeds: Random seeds; a stochastic optimiser is run once per seed.
-        truth: True parameters of a simulated bench; used only for the tables, after all runs.
-        progress: Called with the name of the optimiser and the share of its runs done.
+    ``dataset``: recordings with role ``fit``, at least one of them unloaded; the declared model has
+    the nine nominal parameters. ``default``: result of the default method on the dataset; the
+    comparison uses its bandwidth, and its values as the reference. ``truth``: true parameters of a
+    simulated bench; used only for the tables, after all runs.
 
     Returns:
         The default method first, then the optimisers in the order of :data:`OPTIMISERS`.
-
-    Raises:
-        RecordingError: The model has fixed values or declared terms, which the comparison does not
-            support, or the joint does not move.
     """
     if dataset.model.fixed or dataset.model.terms:
         held = ", ".join((*dataset.model.fixed, *dataset.model.terms))

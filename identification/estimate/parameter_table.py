@@ -1,6 +1,4 @@
-"""Computes the parameter table with values, intervals and reasons for withheld values (M43), and
-the fit errors.
-"""
+"""Computes the parameter table: values, intervals, reasons for withheld values (M43), errors."""
 
 from __future__ import annotations
 
@@ -38,17 +36,13 @@ from identification.views.view import views
 OFFSET_SHARE = 0.1
 """Greatest half width of the interval of an identified offset, relative to the rms torque."""
 WIDEST = 0.5
-"""Ratio of the 90 % interval's half width to the value above which a parameter is not
-identifiable.
-"""
+"""Half width of the 90 % interval over the value above which a parameter is not identifiable."""
 LEAST_RISE = 1e-3
 """Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Return the unit of each parameter by name; torques are in A if the torque constant is
-    unknown.
-    """
+    """Return the unit of each parameter; torques are in A without a torque constant."""
     recording = prepared[0].recording
     amperes = torque_unit(recording) == "A"
     motion = recording.bench.motion
@@ -91,11 +85,8 @@ def printed_fit(
 
     Without a sample in steady motion the error is that of the rows of the fit.
 
-    Args:
-        prepared: All recordings, or all pieces of them.
-        cut: Whether the recordings are cut into pieces, which are processed one by one.
-        values: Name to value.
-        alpha: Stribeck exponent.
+    ``prepared``: all recordings, or all pieces of them. ``cut``: whether the recordings are cut
+    into pieces, which are processed one by one.
     """
     nominal, bandwidth = Nominal(values, (), alpha), prepared[0].bandwidth_Hz
     every = [p.recording for p in prepared if p.recording.role in ("fit", "validate")]
@@ -125,9 +116,7 @@ def printed_fit(
 
 
 def _unrepeated(pairs: Sequence[tuple[Recording, Predicted]]) -> float:
-    """Return the rms of the errors that differ between periods of a command, over the square root
-    of two; 0 with too few periods.
-    """
+    """Return the rms of errors that differ between periods of a command, over sqrt(2); or 0."""
     squares, count = 0.0, 0
     for recording, part in pairs:
         lag = command_period(recording)
@@ -210,14 +199,9 @@ def parameter_table(
     """Return every parameter with its interval and, if known, its floor; a parameter without
     interval has a reason.
 
-    Args:
-        prepared: Recordings to fit.
-        values: Name to value.
-        spread: Covariance of the fitted parameters.
-        model: Declared terms and fixed values.
-        floors: Name to the least half width by the Cramer-Rao bound.
-        discrepant: Whether the equation error leaves a torque that the model lacks. A static level
-            whose Stribeck speed is not identifiable is then withheld: it is an extrapolation.
+    ``floors``: name to the least half width by the Cramer-Rao bound. ``discrepant``: whether the
+    equation error leaves a torque that the model lacks. A static level whose Stribeck speed is not
+    identifiable is then withheld: it is an extrapolation.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -391,9 +375,7 @@ _SHOWN = 0.3
 """
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
-"""Pairs (a, b) whose sum a + b omega is the friction at a speed omega well above the Stribeck speed
-(eq. 9 and 13).
-"""
+"""Pairs (a, b): a + b omega is the friction well above the Stribeck speed (eq. 9 and 13)."""
 _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 """Pairs (a, b) whose sum a + b F_P L1 is the friction under a contact moment F_P L1 (eq. 15)."""
 
@@ -403,11 +385,6 @@ def tradeoffs(
 ) -> tuple[Tradeoff, ...]:
     """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
     first.
-
-    Args:
-        spread: Covariance of the fitted parameters.
-        values: Value of each parameter by name.
-        units: Unit of each parameter by name.
     """
     names, correlation = _correlation(spread, values)
     found = []

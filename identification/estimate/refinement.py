@@ -1,6 +1,4 @@
-"""Computes the final estimate: by prediction errors if the acceptance tests pass, else by equation
-error.
-"""
+"""Computes the final estimate: by prediction errors if accepted, else by equation error."""
 
 from __future__ import annotations
 
@@ -63,11 +61,8 @@ def refusal(
 ) -> str:
     """Return the reason why the refined values are rejected; empty if they are accepted.
 
-    Args:
-        refined: The refinement.
-        before: Mean equation error of the start values over the recordings.
-        after: Mean equation error of the refined values over the recordings.
-        limits: Limits of the tests.
+    ``before``: mean equation error of the start values over the recordings. ``after``: mean
+    equation error of the refined values over the recordings.
     """
     judged = (
         refined.whiteness,
@@ -126,13 +121,11 @@ class Found:
     """The final estimate, with the steps that led to it.
 
     Attributes:
-        values: Name to value.
         spread: Covariance of the fitted parameters.
         floors: Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an
             accepted refinement.
         taken: The refinement, if it is accepted.
         starts: Search ends of the refinement, whether accepted or not.
-        stages: Record of each search.
         warnings: Reason why the refinement was rejected.
     """
 
@@ -157,14 +150,9 @@ def refine(
 
     The torque noise is white, or correlated if the innovations contradict white noise.
 
-    Args:
-        attempt: Function that refines the values, with or without a correlated part of the noise;
-            it returns the reason as text if prediction errors do not apply.
-        active: The recordings, prepared for the equation error.
-        values: Equation-error values of all parameters.
-        names: Parameters to fit.
-        alpha: Stribeck exponent.
-        limits: Limits of the tests.
+    ``attempt``: function that refines the values, with or without a correlated part of the noise;
+    it returns the reason as text if prediction errors do not apply. ``active``: the recordings,
+    prepared for the equation error.
     """
     before = typical_error(active, values, alpha)
 
@@ -243,11 +231,7 @@ def corrected(
     """Correct the bias of an accepted refinement (M33 to M36, M42) and solve the equation of the
     inertia with replicates (M32).
 
-    Args:
-        found: The estimate; returned unchanged if its refinement was not accepted.
-        rng: Random generator for the noise of the simulated replicates.
-        settings: Settings of the bias correction.
-        progress: Called with every pair of replicates.
+    ``found``: the estimate; returned unchanged if its refinement was not accepted.
     """
     if found.taken is None:
         return found
@@ -313,15 +297,9 @@ def refine_recordings(
 ) -> Refined | str:
     """Return the refined estimate, or a text with the reason why prediction errors do not apply.
 
-    Args:
-        recordings: Recordings to fit.
-        values: Equation-error values of all parameters.
-        names: Parameters to fit.
-        model: Declared terms and fixed values.
-        correlated: Whether the torque noise has a correlated part.
-        progress: Called at the start of each fit.
-        limits: Limits of acceptance; a fit that they reject ends early.
-        equation_noise: White torque noise that would explain the unloaded equation error, N m.
+    ``correlated``: whether the torque noise has a correlated part. ``progress``: called at the
+    start of each fit. ``limits``: limits of acceptance; a fit that they reject ends early.
+    ``equation_noise``: white torque noise that would explain the unloaded equation error, N m.
     """
     if not names:
         return "every parameter is fixed"
@@ -371,9 +349,7 @@ def _lacks(left_out: Mapping[str, str]) -> str:
 
 
 def partly_used(left_out: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the warning that prediction errors do not use some recordings; empty if they use
-    all.
-    """
+    """Return the warning on recordings that prediction errors do not use, if any."""
     if not left_out:
         return ()
     names = ", ".join(left_out)
@@ -395,17 +371,13 @@ def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
 
 
 def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
-    """Return the half width of the 90 % interval of each parameter, by name, at the Cramer-Rao
-    bound ``floor``, shape (p, p).
-    """
+    """Return the half width of each 90 % interval at the Cramer-Rao bound ``floor``, (p, p)."""
     exact = Spread(names, floor, math.inf)
     return {name: exact.half_width(name) for name in names}
 
 
 _LOUDEST_SENSOR = 10.0
-"""Ratio of the torque noise to the torque scatter above which the noise is not the correlated noise
-of a current sensor.
-"""
+"""Torque noise over torque scatter above which it is not the noise of a current sensor."""
 PASSES = 3
 SETTLED = 0.2
 """Size of a step below which the passes end: rms over the parameters, in standard errors."""
@@ -424,16 +396,9 @@ def refine_pieces(
     """Return the refined estimate over all pieces, or a text with the reason why prediction errors
     do not apply.
 
-    Args:
-        heads: First pieces of recordings, for the start values, one or more for each load
-            condition.
-        pieces: All pieces, including the heads.
-        values: Equation-error values of all parameters.
-        names: Parameters to fit.
-        model: Declared terms and fixed values.
-        progress: Called with the ratio of the passes done to the greatest number of passes.
-        correlated: Whether the torque noise has a correlated part.
-        equation_noise: White torque noise that would explain the unloaded equation error, N m.
+    ``heads``: first pieces of recordings, for the start values, one or more for each load
+    condition. ``pieces``: all pieces, including the heads. ``progress``: called with the ratio of
+    the passes done to the greatest number of passes.
     """
     start = refine_recordings(
         heads, values, names, model, correlated, equation_noise=equation_noise

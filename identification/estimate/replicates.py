@@ -1,18 +1,12 @@
 """Computes the bias of maximum likelihood from simulations of the experiment at the estimate
-(M33-M36).
+(docs/method.md, M33-M36).
 
-Just after a breakaway friction falls steeply with speed. The filter is linearised about its
-prediction, and overestimates the mean acceleration that noise causes at the start of a motion. In
-addition, the torque is not linear within the period of a breakaway. The maximum of the likelihood
-is therefore biased, most of all where static friction is high. A replicate is a simulation with the
-recorded commands and with the drive loop that was estimated from the recordings. The bias is the
-mean, over replicates, of the step of one iteration of Fisher scoring from the simulated values
-(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, Journal of Applied
-Econometrics 8 (1993) S85). Each noise realisation is used twice, the second time with reversed
-sign, so that terms of odd order in the noise cancel.
-
-The sensitivities of replicates are also used as instruments, and products of the sensitivities of
-two replicates give the Cramer-Rao bound.
+A replicate is a simulation with the recorded commands and with the drive loop that was estimated
+from the recordings. The bias is the mean, over replicates, of the step of one iteration of Fisher
+scoring from the simulated values (parametric bootstrap; indirect inference: Gourieroux, Monfort and
+Renault, Journal of Applied Econometrics 8 (1993) S85). Each noise realisation is used twice, the
+second time with reversed sign, so that terms of odd order in the noise cancel. The sensitivities of
+replicates are also used as instruments, and their products give the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -57,7 +51,6 @@ class Bias:
     Attributes:
         shifts: Bias of each parameter by name, SI.
         variances: Variance of each bias, due to the finite number of replicates, by name.
-        replicates: The replicates.
     """
 
     shifts: Mapping[str, float]
@@ -79,12 +72,8 @@ def likelihood_bias(
     determine the drive loop or a gas generator is the load, or if the filter diverges on the
     replicates.
 
-    Args:
-        joint: The estimate.
-        names: Names of the fitted parameters.
-        rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
-        settings: Number of noise series, and criteria for repetitions and dropped replicates.
-        progress: Called with every pair of replicates.
+    ``rng``: the generator of the noise is spawned from ``rng``, whose stream does not advance.
+    ``settings``: number of noise series, and criteria for repetitions and dropped replicates.
     """
     loop = _loop(joint.motions, settings.headroom)
     if loop is None or OFFSET in joint.free:
@@ -142,11 +131,7 @@ def logged_share(
     torque beyond the drive's response to this motion is measurement noise. If the response is
     greater than the noise, the function returns ``unseen``.
 
-    Args:
-        joint: The estimate.
-        loop: The drive loop.
-        rng: Random generator of the noise to which the simulated drive responds.
-        unseen: Logged share that is assumed if the recordings do not determine it.
+    ``unseen``: logged share that is assumed if the recordings do not determine it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
@@ -172,7 +157,6 @@ class _Scored:
         step: Scoring step, shape (p,).
         deviation: Standard deviation of the step, shape (p,); infinite for the inertia, whose step
             is zero.
-        replicate: The replicate.
     """
 
     step: Array

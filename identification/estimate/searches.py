@@ -48,26 +48,20 @@ from identification.recording import Model
 from identification.result import DEFAULT, AcceptanceLimits, Starts
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
-"""Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
-fewer levels the searches miss the best end.
-"""
+"""Torque noise levels of the searches, over the estimated level; fewer miss the best end."""
 MOST_PASSES = 4000
 """Number of filter runs over the recordings (passes) after which a fit starts no further search and
 returns its best end. If the model is right, the unloaded and the loaded fit take some hundred
 passes each, and 3000 passes in the worst known case.
 """
 STARTS = 3
-"""Number of start points from which a search is run; more than one, because the likeliest point of
-the grid is not always in the basin of the true values.
-"""
+"""Start points from which a search is run: the likeliest may be in a wrong basin."""
 _MISSED = 0.8
 """Mean Huber cost of a residual above which a search counts as not converged. The mean cost is 0.26
 to 0.55 at true values, and 1.4 or more if a search does not converge.
 """
 _WIDE_STEP = 0.3
-"""Relative step of a coordinate (a parameter, or its logarithm) for finite differences, used after
-searches that failed to converge.
-"""
+"""Relative step of finite differences after searches that failed to converge."""
 _SEEKS = 3
 """Greatest number of alternations between a fit and a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
@@ -77,25 +71,15 @@ _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
     ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
-"""Neighbours of the best end of the loaded fit, first far neighbours and then near neighbours, each
-as index of a parameter and factor on this parameter.
-"""
+"""Far, then near neighbours of the best end, as index of a parameter and factor on it."""
 _ROUNDS = 2
-"""Greatest number of rounds of searches from neighbours of the best end so far; a second round
-follows only if the first round finds a better end.
-"""
+"""Greatest number of rounds of searches from neighbours; the second only after a gain."""
 _APART = 0.1
-"""Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
-basins.
-"""
+"""Relative difference of Stribeck speed or rise above which ends are in different basins."""
 SAME_END = 1.0
-"""Difference in deviance up to which two search ends count as equal; it corresponds to a change of
-one parameter by one standard error.
-"""
+"""Difference in deviance up to which ends are equal: one standard error of a parameter."""
 _AS_LIKELY = 4.0
-"""Difference in deviance up to which the recordings do not decide between two ends; it corresponds
-to a change of one parameter by two standard errors.
-"""
+"""Difference in deviance up to which ends are as likely: two standard errors."""
 _SEVERAL = 2.0
 
 
@@ -106,7 +90,6 @@ class End:
     Attributes:
         unresolved: Whether the Stribeck speed at the end is below the resolution of the samples.
         deviance: Deviance (M24) at the end; infinite if it is not finite.
-        point: End point of the search.
     """
 
     unresolved: bool
@@ -126,7 +109,6 @@ class LoadedFit:
     Attributes:
         point: The likeliest end.
         drop: Deviance of the likeliest end less the deviance of the likeliest start.
-        ends: Ends of all searches, in the order of the searches.
     """
 
     point: Point
@@ -197,9 +179,6 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
 
     A search ends early if the steps that it may still take, each with the decrease of the last
     step, would not reach the least cost of the earlier searches.
-
-    Args:
-        starts: Starts of the joint fit, each from an end of the loaded fit.
 
     Returns:
         The chosen start point (not the end of its search), and the iterations of all searches.
@@ -321,10 +300,8 @@ def refine(
     maximum. At the estimated level the likelihood is maximised: the standard deviations depend on
     the parameters, so that least squares with constant weights do not find the maximum.
 
-    Args:
-        point: Start of the search.
-        tempering: Torque noise level of each search, relative to the estimated level.
-        step: Relative step for finite differences at raised noise.
+    ``tempering``: torque noise level of each search, relative to the estimated level. ``step``:
+    relative step for finite differences at raised noise.
     """
     iterations = 0
     for factor in tempering:
@@ -423,9 +400,7 @@ _AGAIN = 2
 solution; no attempt follows one that brings no improvement.
 """
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
-"""Start values of the inertia, relative to the inertia of the equation error, which noise biases
-upward.
-"""
+"""Start values of the inertia, relative to that of the equation error, which is biased up."""
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
 """Further start values of the inertia, relative to the inertia of the equation error, which are
 tried if no other start point leads to a solution. In short, fast slips the equation error may give
@@ -480,9 +455,6 @@ def solve_unloaded(
 
     Returns:
         The best end, and the chi-square of every solution.
-
-    Raises:
-        numpy.linalg.LinAlgError: The instruments do not determine the parameters from any start.
     """
     free = system, inertia
     both = bool(system) and bool(inertia)
@@ -546,9 +518,7 @@ def _try_each(
     ends: list[Solved],
     hopeless: Callable[[int], bool] = lambda _tried: False,
 ) -> None:
-    """Try start points until the equations are solved, or until the number of starts tried is
-    ``hopeless``; append to ``ends``.
-    """
+    """Try starts until the equations are solved, or ``hopeless`` are tried; append the ends."""
     for number, start in enumerate(starts):
         solved = bool(ends) and min(end.chi2 for end in ends) < SOLVED
         if solved or (spent(start) and (ends or number)) or hopeless(number):
@@ -581,7 +551,6 @@ class Refined:
     """A refined estimate.
 
     Attributes:
-        values: Value of each parameter by name.
         covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
         floor: Cramer-Rao bound of the covariance
             (:mod:`identification.estimate.covariance`), shape (p, p).
@@ -589,19 +558,16 @@ class Refined:
         innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
             is right.
         whiteness: Correlation of neighbouring innovations, with variance inflation.
-        noise: Noise of torque and angle.
         repeating_share: Share of the correlated noise that repeats in matching half cycles (M26);
             zero without correlated noise.
         torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
-        iterations: Iterations of the joint fit.
         breakaways: Number of segments.
         likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
             start point; positive if least squares at a raised noise level left the basin of this
             start point.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
-        starts: Search ends of each search.
         left_out: Name to what is lacking, of recordings to which prediction errors do not apply.
         stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
         partial: Whether the fit ended without the joint fit, because acceptance rejects the end of
@@ -677,17 +643,10 @@ def refine_stages(
 
     The fit ends after the unloaded or the loaded recordings if acceptance rejects their fit.
 
-    Args:
-        unloaded: Unloaded recordings.
-        loaded: Loaded recordings, may be empty.
-        start: Equation-error values of all parameters.
-        model: Declared terms and fixed values.
-        correlated: Whether the torque noise has a correlated part.
-        progress: Called at the start of each of the three fits.
-        limits: Limits of acceptance.
-        equation_noise: White torque noise that would explain the unloaded equation error, N m. The
-            minimum of the equation error is global: if this noise is above the limit, the model
-            lacks physics, or the motion is too fast for the bandwidth of the equation error.
+    ``limits``: limits of acceptance. ``equation_noise``: white torque noise that would explain the
+    unloaded equation error, N m. The minimum of the equation error is global: if this noise is
+    above the limit, the model lacks physics, or the motion is too fast for the bandwidth of the
+    equation error.
     """
     system, load, inertia = _sought(model)
     progress(f"unloaded fit, recordings: {len(unloaded)}", 0.0)

@@ -1,6 +1,4 @@
-"""Fits the ladder of friction models to the simulated angle of recordings, by bounded
-Levenberg-Marquardt (M48-M51).
-"""
+"""Fits the ladder of friction models to the simulated angle of recordings (M48-M51)."""
 
 from __future__ import annotations
 
@@ -36,9 +34,7 @@ from identification.recording import Bench, Dataset, Model, Recording, Recording
 from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
 
 STEP_S = 2e-3
-"""Greatest integration step in a search, s; a recording with a shorter sample period has one step
-per sample.
-"""
+"""Greatest integration step in a search, s; at most the sample period."""
 LEAST_SAMPLES = 20
 """Least number of samples in a piece."""
 
@@ -71,7 +67,6 @@ class Piece:
     """One prediction of the angle, from a measured initial state.
 
     Attributes:
-        recording: The recording that contains the piece.
         inputs: Inputs of the simulation, shape (n,).
         angle: Measured angle, rad, shape (n,); the first value is the initial state.
         velocity: Initial velocity, rad/s.
@@ -90,11 +85,7 @@ class Piece:
     ) -> Array:
         """Return the simulated angle, rad, shape (n,).
 
-        Args:
-            values: Parameters by name, SI.
-            motor: Motor constants.
-            lateness: Delay with which a logged command acts, s.
-            alpha: Stribeck exponent.
+        ``lateness``: delay with which a logged command acts, s.
         """
         bench = motor.bench(self.recording.bench)
         inputs = self.inputs
@@ -126,9 +117,6 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
         prepared: The recording; without a controller its velocity gives the initial states.
         horizon: Length of a piece, s. With None, the piece is the whole recording if the controller
             is known; otherwise the length is :func:`open_horizon`.
-
-    Raises:
-        RecordingError: The recording has no angle, or no input for a simulation.
     """
     recording = prepared.recording
     angle = joint_angle(recording)
@@ -259,7 +247,6 @@ class Coordinates:
     """The free coordinates of one friction model (rung) of the ladder.
 
     Attributes:
-        rung: Name of the rung, of :data:`identification.model.parameters.SIMULATED`.
         names: Free coordinates, in the order of x.
         axes: Bounds and step of each coordinate, by name.
         model: Declared model; its fixed parameters do not change.
@@ -283,9 +270,7 @@ class Coordinates:
         return np.array([self.axes[n].step for n in self.names])
 
     def start(self, values: Mapping[str, float]) -> Array:
-        """Return the coordinates of named parameters, with the declared motor constants, shape
-        (p,).
-        """
+        """Return the coordinates of parameters, with declared motor constants, (p,)."""
         share = drive_share(self.rung)
         # At rest the motor torque balances the external torque, so that the transmitted load
         # |external torque - motor torque| is twice the external torque.
@@ -344,12 +329,7 @@ def coordinates(
 ) -> Coordinates:
     """Return the coordinates of one friction model (rung).
 
-    Args:
-        rung: Name of the rung.
-        model: Declared model.
-        pieces: Pieces of recordings that are predicted.
-        scales: Sizes of the signals.
-        free: Whether the motor constants are free, within their priors.
+    ``free``: whether the motor constants are free, within their priors.
     """
     t, w = scales.torque, scales.speed
     small = 5e-4 * t
@@ -388,18 +368,12 @@ of the search. Beyond it the cost is linear, so that a recording that no frictio
 a limited influence.
 """
 TOLERANCE, MOST_STEPS = 1e-3, 40
-"""Decrease of the cost in a step, as a share of the cost, below which a search ends; and greatest
-number of steps.
-"""
+"""Decrease of the cost over the cost at which a search ends; greatest number of steps."""
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
-"""Tolerance and greatest number of steps of the first search from each of several start points;
-only the best of these searches is continued.
-"""
+"""Tolerance and steps of the first search from each start; only the best is continued."""
 FOLDS = 3
 _RIDGE = 1e-3
-"""Damping of the step from the fit to a drawn set of recordings; the damping suppresses changes of
-the parameters that hardly change the angle.
-"""
+"""Damping of the step to drawn recordings, against changes that hardly change the angle."""
 
 
 @dataclass(frozen=True)
@@ -407,8 +381,6 @@ class LoopFit:
     """End of a search.
 
     Attributes:
-        coordinates: Coordinates of the search.
-        x: Coordinates, shape (p,).
         cost: Sum of the costs of data and priors.
         ends: Cost at the end of the search from each start point.
         threshold: Angle error up to which the cost is quadratic, rad.
@@ -443,11 +415,8 @@ def absolute_error(found: Sequence[Array]) -> float:
 def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence[Array]) -> LoopFit:
     """Search from several start points, and continue the search from the best end.
 
-    Args:
-        pieces: Pieces of recordings that are predicted.
-        coordinates: Coordinates of the search.
-        starts: Start points, each of shape (p,); the errors of the first start determine the first
-            threshold.
+    ``starts``: start points, each of shape (p,); the errors of the first start determine the first
+    threshold.
     """
     alpha = coordinates.model.alpha
     at_start = errors(pieces, coordinates.point(starts[0]), alpha)
@@ -467,9 +436,7 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
 
 
 def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
-    """Fit other pieces, starting from the end of an earlier fit, with the threshold and unit of the
-    earlier fit.
-    """
+    """Fit other pieces from the end of an earlier fit, with its threshold and unit."""
     end = _searched(pieces, found, (TOLERANCE, MOST_STEPS))
     return replace(found, x=end.x, cost=end.cost)
 
@@ -488,9 +455,7 @@ def unit_of(found: Sequence[Array], threshold: float) -> float:
 
 
 def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:
-    """Return normal matrix and gradient of each recording at the end of a fit, without priors,
-    shapes (m, p, p) and (m, p).
-    """
+    """Return each recording's normal matrix (m, p, p) and gradient (m, p), without priors."""
     c = found.coordinates
     normals: dict[str, Array] = {}
     gradients: dict[str, Array] = {}
@@ -508,11 +473,8 @@ def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:
 def drawn(found: LoopFit, normals: Array, gradients: Array, counts: Array) -> Array:
     """Return the coordinates after one Gauss-Newton step on drawn recordings, shape (p,).
 
-    Args:
-        found: The fit to all recordings.
-        normals: Normal matrix of each recording, shape (m, p, p).
-        gradients: Gradient of each recording, shape (m, p).
-        counts: Number of times that each recording was drawn, shape (m,).
+    ``normals``: normal matrix of each recording, shape (m, p, p). ``gradients``: gradient of each
+    recording, shape (m, p). ``counts``: number of times that each recording was drawn, shape (m,).
     """
     c = found.coordinates
     prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
@@ -566,9 +528,7 @@ def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Ar
 
 KM, RESISTANCE = CONSTANTS
 PER_VOLT = "torque_per_volt"
-"""Km i / R, N m/V: the combination of torque constant and resistance that a voltage and an angle
-determine well.
-"""
+"""Km i / R, N m/V: what a voltage and an angle determine well."""
 
 
 @dataclass(frozen=True)
@@ -578,9 +538,7 @@ class Constant:
     Attributes:
         name: ``torque_constant``, ``resistance`` or ``torque_per_volt``.
         unit: SI.
-        declared: Declared value.
         prior: Relative standard deviation of the declared value, or None for a derived constant.
-        value: Fitted value.
         low: Lower end of the 90 % interval of the fitted value.
         high: Upper end of the 90 % interval of the fitted value.
         moved: Whether the interval excludes the declared value.
@@ -611,10 +569,7 @@ def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[C
     The interval is the wider of two intervals: from the curvature of cost and priors at the
     minimum, and from the fits to drawn recordings.
 
-    Args:
-        pieces: The fitted pieces of recordings.
-        found: The fit.
-        points: Coordinates of the drawn fits, shape (r, p).
+    ``points``: coordinates of the drawn fits, shape (r, p).
     """
     c = found.coordinates
     if not c.prior:
@@ -650,9 +605,7 @@ def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[C
 
 
 ONE_SIDED = 1.645
-"""Number of standard errors by which a cross-validated error must exceed the least cross-validated
-error to count as greater.
-"""
+"""Standard errors by which a cross-validated error must exceed the least, to be greater."""
 STARTS = (0.08, 0.2)
 """Further start values of the Stribeck speed, relative to the greatest speed. Several start values
 are needed, because stick-slip makes the cost irregular, with local minima at low Stribeck speeds.
@@ -732,21 +685,15 @@ def climb_simulated(
     """Fit every rung to the simulated angle, with fixed and with free motor constants, and score
     the fits.
 
-    Args:
-        dataset: Unloaded recordings with an angle, and a controller or a measured drive.
-        bandwidth_Hz: Bandwidth of the equation error, which gives the start values of the searches.
-        rng: Random generator for the drawn recordings.
-        replicates: Number of draws.
-        progress: Called with the name of the step and the share done.
+    ``dataset``: unloaded recordings with an angle, and a controller or a measured drive.
+    ``bandwidth_Hz``: bandwidth of the equation error, which gives the start values of the searches.
+    ``replicates``: number of draws.
 
     Returns:
         One record for each fit. The list is empty unless each recording is unloaded and has an
         angle and, in addition, either a declared controller and a ``command`` channel, or a motor
         voltage without torque and current. For recordings with torque or current the equation error
         is sufficient.
-
-    Raises:
-        RecordingError: A recording cannot be simulated, or cannot be fitted.
     """
     tell = progress or silent
     if not all(map(predictable, dataset.recordings)):
@@ -769,9 +716,7 @@ def climb_simulated(
 
 
 def predictable(recording: Recording) -> bool:
-    """Return whether a fit of the predicted angle is useful for a recording: the control loop is
-    known, or a motor voltage but neither torque nor current was measured.
-    """
+    """Return whether a fit of the angle is useful: loop known, or a voltage the only input."""
     channels, bench = recording.channels, recording.bench
     if joint_angle(recording) is None or recording.stage == "loaded":
         return False

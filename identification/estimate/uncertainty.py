@@ -1,22 +1,12 @@
-"""Computes profile likelihoods and bootstrap spreads of the parameters.
+"""Computes profile likelihoods and bootstrap spreads of the parameters (docs/method.md, M45).
 
-A profile is the deviance as a function of a parameter's value. At each value of a parameter, all
-other parameters and all breakaway times are optimised. The estimate does not maximise a likelihood,
-because the inertia solves an estimating equation (M31). The profile therefore differs from an
-ordinary profile likelihood in two ways:
-
-- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with the inertia J, the Huber cost C,
-  and the square Q of the estimating equation of J over its variance (a score test: Rao, Proceedings
-  of the Cambridge Philosophical Society 44 (1948) 50).
-- The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
-  Biometrika 94 (2007) 167). Unlike an interval, a profile shows asymmetry, flat ends and a second
-  minimum.
-
-The bootstrap draws motion segments with replacement. It assumes only that the errors of different
-segments are independent. It therefore checks intervals that depend on a noise model (Efron and
-Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating
-equations with every segment counted as often as it was drawn; weights, noise levels and the
-instrument of the inertia are those of the estimate.
+The deviance of a profile consists of the likelihood at an inertia and of a score test of the
+inertia's estimating equation (Rao, Proceedings of the Cambridge Philosophical Society 44 (1948)
+50), scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94 (2007)
+167). The bootstrap draws motion segments with replacement, and assumes only that the errors of
+different segments are independent (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
+ch. 8). Each draw solves the estimating equations with every segment counted as often as it was
+drawn; weights, noise levels and the instrument of the inertia are those of the estimate.
 """
 
 from __future__ import annotations
@@ -72,9 +62,7 @@ class _Criterion:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
-        """Return the normal matrix and the gradient of the criterion, shape (p, p) and (p,), and
-        the normal equations of the Huber cost alone.
-        """
+        """Return normal matrix (p, p), gradient (p,), and normal equations of the Huber cost."""
         cost = self.held.jacobian(x, residual).eliminated(
             residual, huber_weight(residual, HUBER_THRESHOLD)
         )
@@ -94,7 +82,11 @@ class _Criterion:
         value = self.value(x, residual)
         for _ in range(_ROUNDS):
             matrix, gradient, cost = self.normal(x, residual)
-            step = _held_step(matrix, gradient, along)
+            inverse = _inverse(matrix)
+            back = inverse @ along
+            free = inverse @ gradient
+            held = float(along @ back)
+            step = np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
             if 0.5 * float(cost.pull @ (cost.pull / cost.held) - gradient @ step) < _GAIN:
                 break
             whole = np.concatenate([step, cost.own_step(step)])
@@ -115,13 +107,7 @@ def profiles(
     units: Mapping[str, str],
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Profile, ...]:
-    """Return the profile of every parameter of a refined estimate.
-
-    Args:
-        refined: The estimate.
-        units: Parameter name to unit.
-        progress: Called with the share done.
-    """
+    """Return the profile of every parameter of a refined estimate."""
     joint = refined.joint
     criterion = _Criterion(joint)
     names = refined.names
@@ -245,15 +231,6 @@ def _tangent(normal: Array, along: Array) -> Array:
     return np.asarray(follow / (along @ follow))
 
 
-def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
-    """Return the Newton step that does not change ``along`` @ parameters."""
-    inverse = _inverse(matrix)
-    back = inverse @ along
-    free = inverse @ gradient
-    held = float(along @ back)
-    return np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
-
-
 def _inverse(matrix: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(
@@ -275,13 +252,6 @@ def bootstrap(
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Resampled, ...]:
     """Return the spread of every parameter over bootstrap draws of each recording's segments.
-
-    Args:
-        refined: The estimate.
-        units: Parameter name to unit.
-        draws: Number of bootstrap draws.
-        rng: Random generator for the draws.
-        progress: Called with the share of the draws that is done.
 
     Returns:
         One result per parameter; its bounds are None if the equations of fewer than half of the
@@ -348,9 +318,7 @@ class _Equations:
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the left sides of the equations and their derivatives, shapes (x,) and (x, x),
-        with each segment counted ``counts`` times.
-        """
+        """Return the equations (x,) and derivatives (x, x), segments counted ``counts`` times."""
         weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
         if self.inertia is not None:
@@ -360,9 +328,7 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves the equations with each segment counted ``counts``
-        times, or None if the search does not converge.
-        """
+        """Return the solution with segments counted ``counts`` times; None if it diverges."""
         x = self.origin.copy()
         residual, jacobian = self.begun
         for _ in range(_ROUNDS):

@@ -36,10 +36,7 @@ from identification.numerics.compiled import both, idle
 from identification.recording import Model
 
 COST_OF_SENSITIVITIES = 3
-"""Number of filter runs as which one run with sensitivities counts. Its computing time is that of
-about ten runs, because the side-by-side computation of segments speeds up a run without
-sensitivities more.
-"""
+"""Filter runs as which one run with sensitivities counts, by its computing time."""
 
 _Place = tuple[bytes, tuple[bytes, ...], Noise]
 """Parameters, breakaway times and noise of a run."""
@@ -59,9 +56,7 @@ class Lineup:
 
     @classmethod
     def of(cls, table: Array) -> Lineup:
-        """Return the segments of a table in the order of the filter, without segments that have no
-        samples.
-        """
+        """Return the segments that have samples, in the order of the filter."""
         lengths = table[:, LAST] - table[:, FIRST]
         order = np.argsort(-lengths, kind="stable")
         order = order[lengths[order] > 0.0]
@@ -69,9 +64,7 @@ class Lineup:
 
     @cached_property
     def halves(self) -> tuple[Lineup, ...]:
-        """The segments in two parts of about equal computing time, or in one part if one
-        instruction computes all segments.
-        """
+        """The segments in two parts of equal computing time; one if one instruction does all."""
         if len(self.order) <= AT_ONCE:
             return (self,)
         # Kernels are compiled for contiguous arrays.
@@ -107,9 +100,7 @@ class Experiment:
 
     @classmethod
     def of(cls, motions: Sequence[Motion], model: Model) -> Experiment:
-        """Return the experiment of these recordings, with the static levels that the declared model
-        fixes.
-        """
+        """Return the experiment of recordings, with the static levels that the model fixes."""
         statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
         return cls(tuple(motions), tuple(statics))
 
@@ -120,9 +111,7 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment to which each residual belongs, counted over all recordings, shape
-        (r,); the ties come last.
-        """
+        """Segment of each residual, counted over all recordings, ties last, shape (r,)."""
         inside = np.repeat(np.arange(self.breakaways), self.lengths)
         return np.concatenate([inside, np.arange(self.breakaways)])
 
@@ -134,9 +123,7 @@ class Experiment:
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
-        """Number of the sample of each innovation, counted from zero in its segment, shape (r -
-        m,).
-        """
+        """Number of each innovation's sample in its segment, from zero, shape (r - m,)."""
         starts = np.cumsum(self.lengths) - self.lengths
         return np.asarray(np.arange(int(self.lengths.sum())) - np.repeat(starts, self.lengths))
 
@@ -184,9 +171,7 @@ class Experiment:
 
     @cached_property
     def matching_count(self) -> Array:
-        """Number of matching half cycles of the segment of each residual, including the segment
-        itself, shape (r,).
-        """
+        """Number of matching half cycles of each residual's segment, with itself, shape (r,)."""
         counts = np.concatenate(
             [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
         )
@@ -204,7 +189,6 @@ class Filter:
         experiment: The recordings.
 
     Attributes:
-        experiment: The recordings.
         evaluations: Number of filter runs so far; a repetition of the last run does not count.
     """
 
@@ -221,12 +205,8 @@ class Filter:
         """Filter every recording; return the innovations inside segments and their standard
         deviations, rad.
 
-        Args:
-            p: Vector of :mod:`identification.model.parameters`.
-            times: Breakaway times, s, one array per recording.
-            noise: Noise of torque and angle.
-            heads: First samples of the segments, of which alone the innovations are computed and
-                returned; None for whole segments.
+        ``heads``: first samples of the segments, of which alone the innovations are computed and
+        returned; None for whole segments.
         """
         if heads is not None:
             self._filter(heads.lineup, p, times, noise)
@@ -245,9 +225,7 @@ class Filter:
         return found[ERROR], found[DEVIATION]
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> Array:
-        """Return the filtered correlated noise of the torque inside segments, N m, shape (r - m,).
-        The arguments are those of :meth:`run`.
-        """
+        """Return the filtered correlated noise inside segments, N m, (r - m,); see :meth:`run`."""
         self._run(p, times, noise)
         return np.array(self._found[FILTERED], dtype=np.float64)
 
@@ -257,11 +235,7 @@ class Filter:
         """Return the derivatives of the innovations inside segments, rad, and the derivatives of
         the logarithms of their standard deviations, shape (r - m, d) each.
 
-        Args:
-            p: Vector of :mod:`identification.model.parameters`.
-            times: Breakaway times, s, one array per recording.
-            noise: Noise of torque and angle, which is constant.
-            seeds: Directions, shape (d, :data:`identification.filter.kalman.SEEDS`).
+        ``seeds``: directions, shape (d, :data:`identification.filter.kalman.SEEDS`).
         """
         place = _place(p, times, noise)
         if self._slopes is not None and self._slopes[0] == place:

@@ -1,16 +1,10 @@
 """Computes the one-step prediction errors of the angle by an extended Kalman filter with the
-measured torque as input (M14-M21).
+measured torque as input (docs/method.md, M14-M21).
 
-The measured torque is a noisy mean over each period, and the encoder is quantised. An output error
-would drift with the torque noise, and an equation error needs derivatives of the encoder signal;
-the one-step prediction error of the joint angle has neither drawback. The filter has the state
-(angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise. A
-correlated part of the torque noise is a third state, a first-order process that is constant within
-each period. The normalised innovations are white when the model is right, and their sum of squares
-is the likelihood (Ljung, System Identification, 2nd ed., 7.3 and 10.5).
-
-A motion segment starts at its breakaway time, at the angle of rest and with speed zero. Segments
-run side by side (:mod:`identification.filter.kalman`).
+The state is (angle, speed) and, with a correlated part of the torque noise, that part, constant
+within each period. The normalised innovations are white when the model is right, and their sum of
+squares is the likelihood (Ljung, System Identification, 2nd ed., 7.3 and 10.5). A motion segment
+starts at its breakaway time, at the angle of rest and with speed zero. Segments run side by side.
 """
 
 from __future__ import annotations
@@ -55,9 +49,7 @@ SAMPLE_COLUMNS = UNSURE + 1
 LANES = 32
 """Length of a row: the greatest number of segments that are computed side by side."""
 AT_ONCE = 8
-"""Number of lanes that the widest processor instruction computes; loops run over a multiple of this
-number.
-"""
+"""Lanes of the widest processor instruction; loops run over a multiple of them."""
 L_ANGLE, L_OMEGA, L_P11, L_P12, L_P22, L_HIDDEN, L_P13, L_P23, L_P33 = (LANES * k for k in range(9))
 """Places of the state: angle, rad, and speed, rad/s; their covariance; the correlated torque noise,
 N m, its covariances with angle and speed, and its variance.
@@ -156,9 +148,7 @@ def started(segments: Array, samples: Array, noise: Array, p: Array, lanes: Arra
 
 @inlined
 def still_active(segments: Array, active: int, k: int) -> int:
-    """Return how many of the ``active`` first segments have a sample number ``k``; the segments are
-    sorted by length, the longest first.
-    """
+    """Return how many of the first segments, longest first, have a sample number ``k``."""
     while active > 0 and k >= int(segments[active - 1, LAST] - segments[active - 1, FIRST]):
         active -= 1
     return active
@@ -213,9 +203,7 @@ def loaded(
 
 
 ERROR, DEVIATION, FILTERED = range(3)
-"""Rows of the results: innovation, rad; its standard deviation, rad; filtered correlated torque
-noise, N m.
-"""
+"""Rows of the results: innovation, rad; its deviation, rad; correlated torque noise, N m."""
 
 
 @inlined
@@ -265,15 +253,7 @@ def _predicted_hidden(t: Array, wide: int, number: float) -> None:
 
 @compiled
 def predict(t: Array, wide: int, number: int, p: Array, correlated: bool) -> None:
-    """Propagate the state of the first ``wide`` lanes over one integration step (M16, M17).
-
-    Args:
-        t: Workspace of the lanes, shape (WORKSPACE,).
-        wide: Number of lanes.
-        number: Number of the step in the period.
-        p: Vector of :mod:`identification.model.parameters`.
-        correlated: Whether the torque noise has a correlated part.
-    """
+    """Propagate the state of the first ``wide`` lanes over one integration step (M16, M17)."""
     if p[ALPHA] == 2.0:
         _predicted(t, wide, float(number), law(p, 2.0))
     else:
@@ -347,16 +327,12 @@ def innovations(
 ) -> None:
     """Fill ``found`` with the innovations of every segment and their standard deviations (M18).
 
-    Args:
-        segments: Table of motion segments, the longest first, shape (m, 7); columns of
-            :mod:`identification.filter.kalman`.
-        begins: Breakaway time of each segment, s, shape (m,).
-        samples: Table of samples, shape (n, 8). The number of integration steps does not depend on
-            the parameters, so that the innovations are smooth functions of the parameters.
-        noise: Noise vector of :mod:`identification.filter.kalman`, shape (4,).
-        p: Vector of :mod:`identification.model.parameters`.
-        found: Rows ``ERROR`` to ``FILTERED``, shape (3, n). Samples outside the segments stay
-            unchanged; so does the row ``FILTERED`` if the torque noise has no correlated part.
+    ``segments``: table of motion segments, the longest first, shape (m, 7); columns of
+    :mod:`identification.filter.kalman`. ``samples``: table of samples, shape (n, 8). The number of
+    integration steps does not depend on the parameters, so that the innovations are smooth
+    functions of the parameters. ``found``: rows ``ERROR`` to ``FILTERED``, shape (3, n). Samples
+    outside the segments stay unchanged; so does the row ``FILTERED`` if the torque noise has no
+    correlated part.
     """
     lanes = np.zeros(WORKSPACE)
     correlated = noise[CORRELATED] > 0.0
@@ -460,15 +436,7 @@ def _factors(g: Array, t: Array, wide: int, number: float, p: Law) -> None:
 
 @compiled
 def factors(g: Array, t: Array, wide: int, number: int, p: Array) -> None:
-    """Store the factors of the tangents of the first ``wide`` lanes for one integration step.
-
-    Args:
-        g: Factors, shape (GAINS,).
-        t: Workspace of the lanes before the step, shape (WORKSPACE,).
-        wide: Number of lanes.
-        number: Number of the step in the period.
-        p: Vector of :mod:`identification.model.parameters`.
-    """
+    """Store the factors of the tangents of the first ``wide`` lanes for one integration step."""
     if p[ALPHA] == 2.0:
         _factors(g, t, wide, float(number), law(p, 2.0))
     else:
@@ -480,12 +448,8 @@ def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
     """Propagate the tangents of angle, speed and their covariance in one direction over one
     integration step (M16, M17).
 
-    Args:
-        d: Tangents of the direction, shape (TANGENTS,).
-        seed: The direction, shape (SEEDS,).
-        g: Factors of the step, shape (GAINS,).
-        t: Workspace of the lanes before the step, shape (WORKSPACE,).
-        wide: Number of lanes.
+    ``d``: tangents of the direction, shape (TANGENTS,). ``seed``: the direction, shape (SEEDS,).
+    ``g``: factors of the step, shape (GAINS,).
     """
     mc, rise, omega_sf, sigma_2 = seed[MC], seed[SYSTEM_RISE], seed[OMEGA_SF], seed[SIGMA_2]
     mu_c, load_rise, omega_sl, mu_2 = seed[MU_C], seed[LOAD_RISE], seed[OMEGA_SL], seed[MU_2]
@@ -528,9 +492,7 @@ def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
 
 @compiled
 def step_hidden(d: Array, g: Array, t: Array, wide: int) -> None:
-    """Propagate the tangents of the correlated torque noise in one direction over one integration
-    step, after :func:`step`, which has the same arguments.
-    """
+    """Propagate the tangents of the correlated noise over a step, after :func:`step`."""
     for k in range(wide):
         p13, p23, p33 = t[L_P13 + k], t[L_P23 + k], t[L_P33 + k]
         h, b, c, growth = g[_H + k], g[_B + k], g[_C + k], g[_GROWTH + k]
@@ -553,14 +515,7 @@ def step_hidden(d: Array, g: Array, t: Array, wide: int) -> None:
 
 @compiled
 def correct_tangents(d: Array, seed: Array, t: Array, wide: int) -> None:
-    """Correct the tangents of one direction by a reading (M19), before the state is corrected.
-
-    Args:
-        d: Tangents of the direction, shape (TANGENTS,).
-        seed: The direction, shape (SEEDS,).
-        t: Workspace of the lanes before the correction, shape (WORKSPACE,).
-        wide: Number of lanes.
-    """
+    """Correct the tangents of one direction by a reading (M19), before the state is corrected."""
     start = seed[START]
     for k in range(wide):
         error, variance, side = t[L_ERROR + k], t[L_VARIANCE + k], t[L_SIDE + k]
@@ -637,19 +592,13 @@ def sensitivities(
     """Fill ``errors`` with the derivatives of the innovations of every segment, and ``deviations``
     with the derivatives of the logarithms of their standard deviations.
 
-    Args:
-        segments: Table of motion segments, the longest first, as for
-            :func:`identification.filter.kalman.innovations`.
-        begins: Breakaway time of each segment, s, shape (m,).
-        samples: Table of samples, shape (n, 8).
-        noise: Noise vector, shape (4,), which is constant.
-        p: Vector of :mod:`identification.model.parameters`.
-        seeds: Directions of differentiation, shape (d, SEEDS): derivative of each parameter, and in
-            column ``START`` the derivative of all breakaway times.
-        errors: Derivatives of the innovations, rad per unit of the direction, shape (n, d); samples
-            outside the segments are left unchanged.
-        deviations: Derivatives of the logarithms of the standard deviations, per unit of the
-            direction, shape (n, d).
+    ``segments``: table of motion segments, the longest first, as for
+    :func:`identification.filter.kalman.innovations`. ``noise``: noise vector, shape (4,), which is
+    constant. ``seeds``: directions of differentiation, shape (d, SEEDS): derivative of each
+    parameter, and in column ``START`` the derivative of all breakaway times. ``errors``:
+    derivatives of the innovations, rad per unit of the direction, shape (n, d); samples outside the
+    segments are left unchanged. ``deviations``: derivatives of the logarithms of the standard
+    deviations, per unit of the direction, shape (n, d).
     """
     lanes, gains = np.zeros(WORKSPACE), np.zeros(GAINS)
     tangents = np.zeros((len(seeds), TANGENTS))

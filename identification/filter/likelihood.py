@@ -62,17 +62,13 @@ def static_limit(p: Array, m: Motion) -> Array:
 
 
 def static_slopes(seeds: Array, m: Motion) -> Array:
-    """Return the derivative of the static limit (M3) at each breakaway in each direction of the
-    parameters, N m, shape (m, d); ``seeds`` of shape (d, parameters).
-    """
+    """Return the derivative of the static limit (M3) at each breakaway, N m, (m, d)."""
     load = (seeds[:, MU_C] + seeds[:, LOAD_RISE])[None] * m.breakaway_moment[:, None]
     return np.asarray((seeds[:, MC] + seeds[:, SYSTEM_RISE])[None] + load)
 
 
 def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
-    """Return the time at which the torque first reaches the static limit at each breakaway, s, one
-    array per recording.
-    """
+    """Return when the torque first reaches the static limit, s, one array per recording."""
     return tuple(m.static_crossing(static_limit(p, m)) for m in motions)
 
 
@@ -82,9 +78,7 @@ _TIME_SCALE_S = _TIME_STEP = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Alternative breakaway times that are tried, relative to the present breakaway time."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
-"""Step of a coordinate for finite differences, as a share of the coordinate's size, and least
-size.
-"""
+"""Step of finite differences: share of a coordinate's size, and least size."""
 _GREATEST_CHANGE = 10.0
 """Greatest change of a residual, in standard deviations, or of the logarithm of its standard
 deviation, over one step of a finite difference.
@@ -92,13 +86,9 @@ deviation, over one step of a finite difference.
 _TIE_STEP_S = 1e-6
 """Step of a breakaway time for the slope of the torque at the breakaway."""
 _UNFELT = 1e-6
-"""Change of a residual, in standard deviations, below which a shift of the breakaway time counts as
-having no effect on the residual.
-"""
+"""Change of a residual below which a shift of the breakaway has no effect on it."""
 _LEAST_SAMPLES = 40
-"""Least number of samples of a segment over which the filter is run again for other breakaway
-times.
-"""
+"""Least samples of a segment over which the filter is run for other breakaway times."""
 _LEAST_GAIN = 0.5
 """Least decrease of a segment's Huber cost for which its breakaway time is changed."""
 
@@ -135,9 +125,7 @@ class Point:
         model: Model,
         noise: Noise,
     ) -> Point:
-        """Return a point without variance inflation; each breakaway time is the time at which the
-        torque first reaches the static limit.
-        """
+        """Return a point without inflation; breakaways are where torque reaches the limit."""
         experiment = Experiment.of(motions, model)
         return cls(
             Filter(experiment),
@@ -178,9 +166,7 @@ class Point:
         return replace(self, free=tuple(free))
 
     def at(self, vector: Array) -> Point:
-        """Return the point with other parameters; each breakaway time is the time at which the
-        torque first reaches the static limit of these parameters.
-        """
+        """Return the point with other parameters, and breakaways at their static limit."""
         times = static_crossings(vector, self.motions)
         return replace(self, vector=vector, breakaway_times=times)
 
@@ -216,9 +202,7 @@ class Point:
         )
 
     def run(self, noise: Noise | None = None) -> tuple[Array, Array]:
-        """Return the innovations inside segments and their standard deviations, rad; ``noise``
-        defaults to the point's noise.
-        """
+        """Return innovations inside segments and their deviations, rad; see ``noise``."""
         return self.filter.run(
             self.vector, self.breakaway_times, self.noise if noise is None else noise
         )
@@ -286,9 +270,6 @@ class Point:
     def weighted(self, step: float = PARAMETER_STEP) -> Weighted:
         """Return the residuals as a function of the free vector near this point, divided by the
         standard deviations at this point.
-
-        Args:
-            step: Relative step of a coordinate for finite differences.
         """
         _, deviations = self.run()
         return Weighted(self, self._inflated(deviations), step)
@@ -320,7 +301,6 @@ class Weighted:
     the point.
 
     Attributes:
-        point: The point.
         deviations: Standard deviations of the residuals at the point, constant, shape (r,).
         step: Relative step of a coordinate for finite differences.
     """
@@ -330,9 +310,7 @@ class Weighted:
     step: float = PARAMETER_STEP
 
     def residuals(self, x: Array) -> Array:
-        """Return the residuals of :meth:`Point.predictions`, divided by the constant standard
-        deviations, shape (r,).
-        """
+        """Return :meth:`Point.predictions` over constant standard deviations, (r,)."""
         errors, _ = self.point.predictions(x)
         return np.asarray(errors / self.deviations)
 
@@ -350,10 +328,6 @@ class Weighted:
     def near_breakaways(self, x: Array, here: Array) -> NearBreakaways:
         """Return the residuals as a function of the breakaway times near those of ``x``, with the
         parameters of ``x``. The filter is run only over the samples that breakaway times affect.
-
-        Args:
-            x: Free vector.
-            here: Residuals at ``x``, shape (r,).
         """
         experiment = self.point.experiment
         there = x.copy()
@@ -400,7 +374,6 @@ class NearBreakaways:
     thousands of samples.
 
     Attributes:
-        point: The point with the fixed parameters.
         heads: Samples that the breakaway times affect.
         rows: Numbers of the affected residuals, innovations first and then ties, shape (q,).
         here: Affected residuals at the breakaway times of the point, shape (q,).
@@ -416,9 +389,7 @@ class NearBreakaways:
     deviations: Array
 
     def residuals(self, x: Array) -> Array:
-        """Return the affected residuals at a free vector with the parameters of the point, shape
-        (q,).
-        """
+        """Return the affected residuals at a free vector, shape (q,)."""
         p, times = self.point.parameters(x), self.point.times(x)
         errors, _ = self.point.filter.run(p, times, self.point.noise, self.heads)
         return np.concatenate([errors, self.point.ties(p, times)]) / self.deviations
@@ -433,12 +404,7 @@ class NearBreakaways:
 
 
 class Searched(NamedTuple):
-    """End point of a search, and the number of its steps.
-
-    Attributes:
-        point: End point of the search.
-        iterations: Number of steps.
-    """
+    """End point of a search, and the number of its steps."""
 
     point: Point
     iterations: int
@@ -505,9 +471,7 @@ def optimise_breakaway_times(
 
 
 def search_breakaway_times(point: Point, threshold: float) -> Point:
-    """Return the point at which the Huber cost of each segment has the least of its local minima
-    over the breakaway time, with fixed parameters.
-    """
+    """Return the point with each breakaway at the least local minimum of its Huber cost."""
     there, moved = (
         optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
     )
@@ -517,9 +481,7 @@ def search_breakaway_times(point: Point, threshold: float) -> Point:
 def reduce(point: Point, threshold: float = np.inf) -> Reduced:
     """Return the normal equations at a point, with the breakaway times eliminated (M12).
 
-    Args:
-        point: Recordings, free parameters, breakaway times and noise.
-        threshold: Residual size beyond which Huber's weight is below one.
+    ``threshold``: residual size beyond which Huber's weight is below one.
     """
     held = point.weighted()
     x = point.origin()
@@ -547,19 +509,13 @@ _SIMPLEX_CORRELATED = (
     (0.0, -1.0, 0.0, 0.5),
 )
 _MOST_CORRELATED = 90
-"""Initial simplex of the search for the noise levels, as logarithms of the ratio of each noise
-level to its start value, and greatest number of filter runs.
-"""
+"""Initial simplex of the noise search, as logarithms, and greatest number of filter runs."""
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Start values that are tried for correlated noise: ratio of its standard deviation to the standard
-deviation of the white noise, and correlation time in sample periods.
-"""
+"""Start values of correlated noise: over the white noise, and time in sample periods."""
 
 
 def torque_noise(motions: Sequence[Motion]) -> float:
-    """Return the torque scatter, N m rms, from the median absolute third difference inside
-    segments.
-    """
+    """Return the torque scatter, N m rms: median third difference inside segments."""
     differences = [np.diff(m.torque, n=3)[m.inside[3:]] for m in motions]
     spread = np.median(np.abs(np.concatenate(differences)))
     return float(1.4826 * spread / np.sqrt(20.0))
@@ -568,10 +524,6 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 def likeliest_noise(point: Point) -> Noise:
     """Return the noise levels of least deviance at a point, with a correlated part if the noise of
     the point has one.
-
-    Args:
-        point: Parameters and breakaway times, which stay fixed; the search starts from the noise of
-            this point.
     """
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
@@ -600,9 +552,7 @@ def likeliest_noise(point: Point) -> Noise:
 
 
 def first_correlated_noise(point: Point) -> Noise:
-    """Return the start value of the search for noise with a correlated part: the noise of least
-    deviance among a few candidates.
-    """
+    """Return the likeliest of a few start values for noise with a correlated part."""
     period = max(m.recording.period for m in point.motions)
     tried = [
         replace(point.noise, correlated=share * point.noise.torque, correlation_s=periods * period)
@@ -641,7 +591,5 @@ def repeating_share(point: Point) -> float:
 
 
 def deviance(errors: Array, deviations: Array, clip: float = HUBER_THRESHOLD) -> float:
-    """Return -2 log likelihood of innovations with these standard deviations, with outliers clipped
-    (M24).
-    """
+    """Return -2 log likelihood of innovations, with outliers clipped (M24)."""
     return float(np.sum(2.0 * np.log(deviations) + np.minimum((errors / deviations) ** 2, clip**2)))

@@ -17,28 +17,20 @@ from identification.signals import quantum
 LEAD = 12
 """Number of samples by which a segment starts before its first visible motion."""
 TAIL = 20
-"""Number of samples by which a segment ends before the next rest, because the filter cannot know
-that the joint will stop.
-"""
+"""Samples by which a segment ends before a rest: the filter does not know of the stop."""
 LEAST_COUNTS = 20.0
 """Least travel of a segment, in encoder steps."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Integration steps per sample away from rest; several steps are needed because all speeds of a
-slow sine may lie on the falling branch of friction.
-"""
+"""Integration steps per sample: a slow sine may stay on the falling branch of friction."""
 ONSET_STEPS = 32.0
-"""Integration steps per sample right after a breakaway, where the error of a step grows because
-friction falls with speed.
-"""
+"""Integration steps per sample after a breakaway, where friction falls fast."""
 FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is averaged."""
 LEAST_RISE = 0.1
-"""Least rate of rise of the torque before a segment, relative to the median of the recording; a
-smaller rate is attributed to noise.
-"""
+"""Least rate of rise of the torque over the recording's median; less is noise."""
 STALLED = 0.01
 """Share of the greatest speed below which a segment counts as almost stopping."""
 UNSURE = 0.1
@@ -46,9 +38,7 @@ UNSURE = 0.1
 speed where a segment almost stops.
 """
 ALIKE = 0.1
-"""Greatest difference in displacement between two matching half cycles at any time, relative to the
-longer displacement (M11).
-"""
+"""Greatest difference of matching half cycles over the longer displacement (M11)."""
 INSTANTS = 64
 """Number of instants at which half cycles are compared."""
 
@@ -58,8 +48,6 @@ class Motion:
     """A recording prepared for the filter. Arrays have shape (n,), at the joint, SI.
 
     Attributes:
-        recording: The recording.
-        time: s.
         angle: Angle as the encoder measured it, rad.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Rate of change of the torque within that period, N m/s.
@@ -88,9 +76,7 @@ class Motion:
     angle_variance: float
 
     def torque_at(self, when: Array) -> Array:
-        """Return the torque at any time, interpolated between the centres of the averaging periods,
-        N m.
-        """
+        """Return the torque, interpolated between centres of averaging periods, N m."""
         return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
 
     @property
@@ -214,9 +200,7 @@ def lacking(recording: Recording) -> str:
 
 
 def _basis(recording: Recording) -> tuple[Recording, BoolArray, Array, float] | str:
-    """Return the recording with even samples, its gaps, its angle and the step of the angle, rad;
-    or what it lacks.
-    """
+    """Return the even recording, gaps, angle and encoder step, rad; or what it lacks."""
     if not ({"torque", "current"} & recording.channels.keys()):
         return "a measured torque or current"
     even = evened(recording)
@@ -320,9 +304,7 @@ class Noise:
     def drawn(
         self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float
     ) -> Array:
-        """Return independent simulated series of torque noise, multiplied by ``share``, N m, one
-        per row, with one sample every ``period`` s.
-        """
+        """Return simulated torque noise, times ``share``, N m, a row each, every ``period`` s."""
         white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
         if self.correlated == 0.0:
             return white

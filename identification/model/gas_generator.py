@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,11 +29,7 @@ class ValveGeometry:
     L1: float = 0.095
 
     def __post_init__(self) -> None:
-        """Check the dimensions.
-
-        Raises:
-            ValueError: A dimension is not positive, or the hole does not fit into the plate.
-        """
+        """Check the dimensions."""
         small = [
             f"{name} = {value:g} m"
             for name, value in vars(self).items()
@@ -252,11 +247,7 @@ class GasGenerator:
     valve: ValveGeometry = field(default_factory=ValveGeometry)
 
     def __post_init__(self) -> None:
-        """Check the constants, and that combustion is stable.
-
-        Raises:
-            ValueError: A constant is not positive, n is not below 1, or gamma not above 1.
-        """
+        """Check the constants, and that combustion is stable."""
         numbers = {
             name: value for name, value in vars(self).items() if name not in ("valve", "p_c0")
         }
@@ -294,21 +285,6 @@ class GasGenerator:
         """R_g T_g, J/kg."""
         return (self.Gamma * self.C_r) ** 2
 
-    @property
-    def enthalpy(self) -> float:
-        """Specific enthalpy of the gas at flame temperature, gamma/(gamma - 1) R_g T_g, J/kg."""
-        return self.gamma / (self.gamma - 1.0) * self.RT
-
-
-class Burn(NamedTuple):
-    """Simulated combustion: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape
-    (n,).
-    """
-
-    pressure: Array
-    web: Array
-    rise: Array
-
 
 def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool = True) -> Array:
     """Return the equilibrium pressure, Pa: the gas produced equals the outflow plus the gas that
@@ -335,42 +311,6 @@ def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool 
             if np.all(np.abs(step) <= 1e-14 * x):
                 break
     return np.asarray(x**power)
-
-
-def pressure_history(
-    time: Array,
-    angle: Array,
-    g: GasGenerator,
-    *,
-    start_pressure: float | None = None,
-    exact: bool = True,
-) -> Burn:
-    """Simulate the gas generator under a moving valve.
-
-    Args:
-        time: Time since ignition, s, shape (n,), increasing; between samples the throat area is
-            linear in time.
-        angle: theta_r, rad, shape (n,).
-        g: Constants.
-        start_pressure: p_g at the first sample, Pa, or None for the equilibrium pressure at the
-            first angle.
-        exact: Eq. 7; else eq. 8.
-
-    Returns:
-        Arrays of shape (n,).
-
-    Raises:
-        ValueError: The start pressure is not positive.
-    """
-    areas = throat_derivatives(angle, g.valve)
-    if start_pressure is None:
-        start_pressure = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
-    if not start_pressure > 0.0:
-        raise ValueError(f"start pressure {start_pressure:g} Pa; it must be positive")
-    c = constants(g, {}, start_pressure, g.V_0, exact=exact)
-    out = np.empty((3, len(time)))
-    march(np.ascontiguousarray(time, dtype=np.float64), areas, c, NOTHING, out)
-    return Burn(*out)
 
 
 def constants(

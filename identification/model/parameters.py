@@ -116,9 +116,6 @@ UNITS_ROTARY: Mapping[str, str] = {
     "mu_gs": "1",
     "offset": "N m",
 }
-UNITS_LINEAR: Mapping[str, str] = {
-    name: unit_on(LINEAR, unit) for name, unit in UNITS_ROTARY.items()
-}
 
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
 MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
@@ -154,10 +151,6 @@ def pack(values: Mapping[str, float], alpha: float) -> Array:
 
     A parameter that is absent has no effect. A static level below its Coulomb level counts as the
     Coulomb level.
-
-    Args:
-        values: Parameter name to value, SI.
-        alpha: Stribeck exponent.
     """
     p = np.zeros(SIZE)
     p[OMEGA_SF] = p[OMEGA_SL] = 1.0

@@ -504,14 +504,6 @@ class BlockArrow:
         """Return the Jacobian without the column of one parameter."""
         return replace(self, parameters=np.delete(self.parameters, column, axis=1))
 
-    def dense(self) -> Array:
-        """Return the dense matrix, shape (r, p + m)."""
-        p = self.parameters.shape[1]
-        out = np.zeros((len(self.own), p + self.blocks))
-        out[:, :p] = self.parameters
-        out[np.arange(len(self.own)), p + self.owners] = self.own
-        return out
-
     def by_block(self, factor: Array, columns: Array) -> Array:
         """Return the sum of ``factor`` times each column over the rows of every block, for columns
         of shape (r, k), shape (m, k).

@@ -33,9 +33,6 @@ class GeneticSettings:
             to the last generation.
         generations: Number of generations, the first random generation included, after which the
             search stops.
-
-    Raises:
-        ValueError: A setting is out of range.
     """
 
     population: int = 40
@@ -68,9 +65,6 @@ class GeneticAlgorithm:
         rng: Source of all randomness.
         settings: Population, operators and number of generations, or None for the settings of the
             paper.
-
-    Raises:
-        ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.
     """
 
     def __init__(
@@ -120,9 +114,6 @@ class GeneticAlgorithm:
 
         Args:
             costs: Shape (population,); infinite for an individual that cannot be evaluated.
-
-        Raises:
-            ValueError: Wrong shape, or NaN.
         """
         judged = np.asarray(costs, dtype=float)
         if judged.shape != (len(self._genes),):

@@ -55,10 +55,8 @@ _STAGE_TITLES = {"unloaded": "system load", "loaded": "working load"}
 def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Figure:
     """Draw friction torque against speed, measured and fitted, one colour per load (eq. 9 and 13).
 
-    Args:
-        result: The fit.
-        moments: Recording to its contact moment F_P L1, N m, or None if the contact moment varies;
-            then no curve is drawn.
+    ``moments``: recording to its contact moment F_P L1, N m, or None if the contact moment varies;
+    then no curve is drawn.
     """
     made, (axis,) = figure(1, height=5.0, measured=False)
     draw_stribeck(axis, result, moments)
@@ -112,9 +110,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     """Draw the deviation of the best parameters, and the cost, over the course of the search (Fig.
     12 and 13).
 
-    Args:
-        stage: A search with its history.
-        truth: True values from which deviations are measured, or None for the final values.
+    ``truth``: true values from which deviations are measured, or None for the final values.
     """
     made, (upper, lower) = figure(2, height=6.0, sharex=True, measured=False)
     cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")
@@ -152,9 +148,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
 def intervals(
     results: Sequence[Identification], truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draw every parameter with its 90 % interval, in percent of the first result, or of the true
-    values if these are known.
-    """
+    """Draw the 90 % intervals in percent of the first result, or of the true values."""
     names = list(results[0].parameters)
     made, (axis,) = figure(1, height=1.4 + 0.42 * len(names), measured=False)
     for k, (color, result) in enumerate(zip(CYCLE, results, strict=False)):
@@ -234,9 +228,7 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
     """Return a figure with a panel for each profile: deviance against the parameter, its 90 %
     range, and the interval.
 
-    Args:
-        curves: One or more profile likelihoods.
-        parameters: The estimates with their intervals, in any order.
+    ``parameters``: the estimates with their intervals, in any order.
     """
     rows = math.ceil(len(curves) / _COLUMNS)
     made, axes = figure(rows, _COLUMNS, width=9.5, height=0.6 + 2.5 * rows)
@@ -267,9 +259,7 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
 
 
 def waterfall(starts: Sequence[Starts]) -> Figure:
-    """Return a figure of the search ends of each search, sorted from the best: the final cost less
-    the least final cost, on a logarithmic scale.
-    """
+    """Draw the sorted final costs of each search, less the least, on a logarithmic scale."""
     made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2, measured=False)
     for axis, search in zip(axes, starts, strict=True):
         ends = np.sort(np.array(search.ends))
@@ -310,10 +300,7 @@ def result(
     """Draw friction against speed. Below, draw tracking error, current (or torque) and temperature
     of all recordings, one after the other in time, as far as these channels were recorded.
 
-    Args:
-        identified: The fit.
-        moments: Recording to its contact moment F_P L1, N m, or None if the contact moment varies.
-        recordings: The recordings that were identified.
+    ``moments``: recording to its contact moment F_P L1, N m, or None if the contact moment varies.
     """
     rotary = recordings[0].bench.motion == "rotary"
     scale, unit = (np.rad2deg(1.0), "deg") if rotary else (1e3, "mm")
@@ -327,7 +314,15 @@ def result(
     made, (top, *below) = stacked(heights, width=_WIDTH)
     draw_stribeck(top, identified, moments, columns=2)
     for axis, (label, traces) in zip(below, shown, strict=True):
-        _courses(axis, recordings, traces)
+        begun = 0.0
+        for recording, trace in zip(recordings, traces, strict=True):
+            few = thinned(len(recording.time))
+            time = begun + recording.time[few] - recording.time[0]
+            if trace is not None:
+                colour = BLUE if recording.stage == "unloaded" else VERMILION
+                axis.plot(time, trace[few], color=colour, linewidth=0.8)
+            begun = float(time[-1])
+            axis.axvline(begun, color=GREY, linewidth=0.5)
         axis.set_ylabel(label)
     if below:
         below[-1].set_xlabel("time of the recordings, one after the other (s)")
@@ -337,18 +332,6 @@ def result(
 def _tracking_error(recording: Recording, scale: float) -> Array | None:
     command, angle = (recording.channels.get(name) for name in ("command", "angle"))
     return None if command is None or angle is None else np.asarray(scale * (command - angle))
-
-
-def _courses(axis: Axes, recordings: Sequence[Recording], traces: Sequence[Array | None]) -> None:
-    begun = 0.0
-    for recording, trace in zip(recordings, traces, strict=True):
-        few = thinned(len(recording.time))
-        time = begun + recording.time[few] - recording.time[0]
-        if trace is not None:
-            colour = BLUE if recording.stage == "unloaded" else VERMILION
-            axis.plot(time, trace[few], color=colour, linewidth=0.8)
-        begun = float(time[-1])
-        axis.axvline(begun, color=GREY, linewidth=0.5)
 
 
 _FLOOR_PERCENT = 1e-6

@@ -1,6 +1,4 @@
-"""Draws the figures of a diagnosis: the mismatch against each coordinate and time, its empirical
-curve, and the rivals.
-"""
+"""Draws the figures of a diagnosis: mismatch by coordinate and time, curve, rivals."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ from identification.plots.style import (
 _OPENING_WIDTH = 4.4
 """Width of the first figure, inches: its text is legible on a screen of 390 pixels."""
 _FEW_DECADES = 300.0
-"""Ratio of the greatest to the least value of a logarithmic axis, below which the ticks at 2 and 5
-times powers of ten have labels too.
-"""
+"""Ratio of a logarithmic axis below which the ticks at 2 and 5 have labels too."""
 _COLUMNS = 2
 _MOST_MAPS = 8
 _LEAST_SHARE = 0.005
@@ -116,9 +112,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
     """Draw the mismatch of one recording in time, by the nominal and by the corrected model, with
     the noise floor as a band.
 
-    Args:
-        one: The recording.
-        noise_floor: Rms of the noise floor, in the trace's unit, or None if unknown.
+    ``noise_floor``: rms of the noise floor, in the trace's unit, or None if unknown.
     """
     factor, unit = _shown_unit(one.unit)
     made, (axis,) = figure(1, width=9.0, height=3.2)
@@ -152,9 +146,7 @@ def curve(missing: Curve) -> Figure:
 
 
 def rivals(effect: IdentifiedEffect) -> Figure:
-    """Draw the confidence of an effect and of its rivals; the bars of rivals that the data do not
-    reject are filled.
-    """
+    """Draw the confidence of an effect and its rivals; bars not rejected are filled."""
     names = [effect.name, *(r.name for r in effect.rivals)]
     shares = [effect.confidence, *(r.confidence for r in effect.rivals)]
     open_ones = [True, *(r.why_not == "" for r in effect.rivals)]

@@ -1,6 +1,4 @@
-"""Draws the figures of the flow regulator: tracking, areas, friction against speed, the closed
-loop.
-"""
+"""Draws the figures of the flow regulator."""
 
 from __future__ import annotations
 
@@ -56,9 +54,7 @@ def tracking(
 
 
 def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
-    """Draw the tracking error against time; each panel has a title, time (s) and errors by name
-    (rad).
-    """
+    """Draw tracking errors; a panel has title, time (s) and errors by name (rad)."""
     made, axes = figure(len(panels), height=1.0 + 2.4 * len(panels), sharex=True)
     for axis, (name, time, by_name) in zip(axes, panels, strict=True):
         for color, (how, error) in zip(_COLORS, by_name.items(), strict=False):
@@ -71,9 +67,7 @@ def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
 
 
 def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
-    """Draw the joint speed against time; each panel has a title, time (s), commanded speed and
-    measured speeds by name (rad/s).
-    """
+    """Draw joint speeds; a panel has title, time (s), command and measured (rad/s)."""
     made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
     for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
         few = thinned(len(time), 20000)
@@ -147,9 +141,7 @@ def closed_loop(
     current: Array,
     force: Array,
 ) -> Figure:
-    """Draw flow (kg/s), pressure (MPa) and angle (rad), each with command and response, and motor
-    current (A) and contact force (N).
-    """
+    """Draw flow (kg/s), pressure (MPa), angle (rad), current (A) and force (N)."""
     made, (top, second, third, last) = figure(4, height=9.5, sharex=True)
     few = thinned(len(time))
     for axis, pair, scale, label in (

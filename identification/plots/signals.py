@@ -32,13 +32,7 @@ from identification.views.predicted import Predicted
 
 
 def response(trace: Trace, recording: Recording, unit: str) -> Figure:
-    """Draw angle and command, velocity, torque and fitted torque against time.
-
-    Args:
-        trace: The recording as fitted.
-        recording: The recording itself, for its command.
-        unit: Unit of its torque.
-    """
+    """Draw angle and command, velocity, torque and fitted torque against time."""
     motion = recording.bench.motion
     scale, label = _angle(motion)
     made, (top, middle, bottom) = figure(3, height=7.0, sharex=True, measured=False)
@@ -66,11 +60,6 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
 def residual(trace: Trace, motion: str, unit: str) -> Figure:
     """Draw the residual of the model against time and velocity, and its histogram; moving samples
     only.
-
-    Args:
-        trace: The recording as fitted.
-        motion: ``rotary`` or ``linear``.
-        unit: Unit of its torque.
     """
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
     error, label = trace.torque - trace.torque_model, f"measured - model ({unit})"
@@ -98,12 +87,7 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
 
 
 def predicted(part: Predicted, unit: str) -> Figure:
-    """Draw the measured side, the predicted side and the residual of one equation against time.
-
-    Args:
-        part: One equation of one recording.
-        unit: Unit of the equation.
-    """
+    """Draw the measured side, the predicted side and the residual of one equation against time."""
     made, (top, bottom) = figure(2, height=5.0, sharex=True)
     few = thinned(len(part.time))
     time = part.time[few]

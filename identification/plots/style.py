@@ -123,9 +123,7 @@ DOTS: Mapping[str, Any] = {"linestyle": "none", "marker": "."}
 """Lines of measured signals, of models, of other signals, of commands, and at zero; dots."""
 MAX_POINTS = 5000
 COMPRESSION = {"compress_level": 3}
-"""Compression level of zlib; files are 8 % larger than at the default level, and are written in two
-thirds of the time.
-"""
+"""Compression of zlib: files are 8 % larger, and written in two thirds of the time."""
 
 
 _GAP = 5.0
@@ -143,14 +141,9 @@ def figure(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with its axes, row by row; no global state of matplotlib is changed.
 
-    Args:
-        rows: Number of rows.
-        columns: Number of columns.
-        width: Width, inches.
-        height: Height, inches.
-        sharex: Whether axes of a column have their horizontal axis in common.
-        measured: Whether all texts are measured for the layout. If not, drawing takes half of the
-            time, but axes must have no titles, and legends only above or inside the axes.
+    ``sharex``: whether axes of a column have their horizontal axis in common. ``measured``: whether
+    all texts are measured for the layout. If not, drawing takes half of the time, but axes must
+    have no titles, and legends only above or inside the axes.
     """
     made = _canvas(width, height, "constrained" if measured else None)
     grid = made.subplots(rows, columns, squeeze=False, sharex=sharex)
@@ -165,9 +158,7 @@ def stacked(heights: Sequence[float], *, width: float) -> tuple[Figure, list[Axe
 
 
 def mosaic(layout: str, *, width: float = 8.0, height: float = 5.0) -> tuple[Figure, list[Axes]]:
-    """Return a figure with axes laid out like ``"AA;BC"``, in the order of their letters' first
-    occurrence.
-    """
+    """Return a figure with axes laid out like ``"AA;BC"``, in order of their letters."""
     made = _canvas(width, height, None)
     return made, _dress(list(made.subplot_mosaic(layout).values()))
 
@@ -234,9 +225,7 @@ def rms_band(axis: Axes, error: Array, unit: str) -> None:
 
 
 def png(made: Figure, dpi: int = 110) -> bytes:
-    """Return the figure as PNG without dates and versions, so that equal figures give equal
-    bytes.
-    """
+    """Return the figure as PNG; equal figures give equal bytes."""
     # Figure.savefig would draw the figure twice, the first time only for the layout.
     made.set_dpi(dpi)
     engine = made.get_layout_engine()

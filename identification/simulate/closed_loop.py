@@ -172,9 +172,6 @@ class Inputs:
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
     """Return the parameter vector (:mod:`identification.model.parameters`) of the joint with the
     recording's known loads.
-
-    Raises:
-        RecordingError: The inertia is zero.
     """
     body = pack(values, alpha)
     body[INERTIA] += recording.known_inertia
@@ -197,9 +194,6 @@ def loop_of(controller: Controller, bench: Bench, name: str) -> Array:
 
     An output of kind ``duty`` or ``voltage`` sets the armature voltage U: torque = Km i (U - Ke i
     omega)/R, with the inductance neglected.
-
-    Raises:
-        RecordingError: A constant of the motor is missing.
     """
     per_output, damping = 1.0, 0.0
     if controller.output != "torque":
@@ -222,12 +216,7 @@ def loop_of(controller: Controller, bench: Bench, name: str) -> Array:
 
 
 def inputs_of(recording: Recording) -> Inputs:
-    """Return the inputs of the loop, from a recording.
-
-    Raises:
-        RecordingError: The recording has no controller or no command, or the output of its
-            controller is a duty cycle and no supply voltage was recorded.
-    """
+    """Return the inputs of the loop, from a recording."""
     controller, channels = recording.controller, recording.channels
     if controller is None or "command" not in channels:
         raise RecordingError(
@@ -284,10 +273,6 @@ def replay(
     at the first recorded angle.
 
     After the first sample only the command, the supply voltage and the declared loads are used.
-
-    Raises:
-        RecordingError: A channel, a constant or the controller that the simulation needs is
-            missing.
     """
     inputs = inputs_of(recording)
     assert recording.controller is not None  # otherwise `inputs_of` raises
@@ -368,9 +353,6 @@ def compare(prepared: Prepared, response: Response) -> Sums:
     """Return the sums of squared errors of a simulated response against its recording.
 
     Simulated and measured torque are filtered to the same bandwidth before they are compared.
-
-    Raises:
-        RecordingError: The recording has no angle.
     """
     error = simulated_torque(prepared, response) - prepared.drive_torque
     return replace(
@@ -382,11 +364,7 @@ def compare(prepared: Prepared, response: Response) -> Sums:
 
 
 def compare_angle(recording: Recording, response: Response) -> Sums:
-    """Return the sums of the angle alone of a simulated response against its recording.
-
-    Raises:
-        RecordingError: The recording has no angle.
-    """
+    """Return the sums of the angle alone of a simulated response against its recording."""
     angle = joint_angle(recording)
     if angle is None:
         raise RecordingError(

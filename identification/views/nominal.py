@@ -102,13 +102,6 @@ class NominalTorque:
         """
         return _frozen(self.torque(view) - self.helping(view))
 
-    def falling(self, view: View) -> Array:
-        """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
-        omega_s = self.get("omega_sf")
-        if omega_s <= 0.0:
-            return np.zeros(len(view.velocity))
-        return np.asarray(np.exp(-(np.abs(view.velocity / omega_s) ** self.alpha)))
-
     @recent
     def friction(self, view: View) -> Array:
         """Return the sum of system load and working load with its sign (eq. 9 and 13), N m."""

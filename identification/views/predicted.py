@@ -63,15 +63,7 @@ def rms(parts: Iterable[Predicted]) -> float | None:
 def predicted(
     view: View, equation: str, measured: Array, model: Array, applies: BoolArray
 ) -> Predicted:
-    """Return one equation of a recording.
-
-    Args:
-        view: The recording.
-        equation: Name of the equation.
-        measured: Measured side at the full rate, shape (m,).
-        model: Modelled side at the full rate, shape (m,).
-        applies: Mask of the filter outputs at which the equation applies, shape (n,).
-    """
+    """Return one equation of a recording."""
     series = (np.where(applies, view.low_pass(side), np.nan) for side in (measured, model))
     return Predicted(equation, view.recording.name, view.recording.role, view.kept_times, *series)
 
@@ -89,9 +81,6 @@ def predicted_voltage(view: View, model: Array) -> Predicted:
 
     What samples at instants leave unknown (:data:`INSTANTS`) is fitted in each recording, as its
     size depends on the time stamps of the recording.
-
-    Raises:
-        ValueError: The recording has no voltage or no current.
     """
     if view.voltage is None or view.current is None:
         raise ValueError(f"{view.recording.name}: no voltage, or no current beside it")
@@ -133,10 +122,6 @@ def noise_floor(parts: Sequence[Predicted], low_pass: Decimator) -> float | None
     """Return the rms of the errors that no model can explain: the noise before the filter, by third
     differences of the errors in each recording, and the accuracy of the best sensors. None without
     any error.
-
-    Args:
-        parts: One equation of several recordings.
-        low_pass: Filter of the recordings.
     """
     known = [(k, p, np.isfinite(p.measured - p.model)) for k, p in enumerate(parts)]
     known = [(k, p, at) for k, p, at in known if np.any(at)]

@@ -363,9 +363,6 @@ def views(
             finer: with a flexible transmission, friction depends on the motion of the valve.
         campaign: All recordings of the campaign in order; the machine also warms during recordings
             that are not used.
-
-    Raises:
-        RecordingError: A recording does not allow this bandwidth.
     """
     every = campaign or recordings
     starts = run_starts(every)

@@ -27,11 +27,7 @@ if TYPE_CHECKING:
 def accept_run(
     folder: Path, limits: Sequence[Limit], source: str, junit_file: Path | None
 ) -> Acceptance:
-    """Judge a run, print the outcome, and write the JUnit file if one is requested.
-
-    Raises:
-        InputError: The folder is not a run folder, or a file cannot be written.
-    """
+    """Judge a run, print the outcome, and write the JUnit file if one is requested."""
     from rig.results.acceptance.certificate import accept, acceptance_document, write_bytes
     from rig.results.document import text
     from rig.terminal.output import ShareBar
@@ -45,11 +41,7 @@ def accept_run(
 
 
 def given_acceptance(file: Path | None) -> GivenFile | None:
-    """Read the file of limits of a run before the joint moves; return None if none is given.
-
-    Raises:
-        InputError: The file is missing or not valid.
-    """
+    """Read the file of limits of a run before the joint moves; return None if none is given."""
     if file is None:
         return None
     load_acceptance(file)
@@ -57,11 +49,7 @@ def given_acceptance(file: Path | None) -> GivenFile | None:
 
 
 def limits_before(file: Path | None, sequence: SequenceFile) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits by which a run that has not begun will be judged, and their origin.
-
-    Raises:
-        InputError: The file is missing or not valid.
-    """
+    """Return the limits by which a run that has not begun will be judged, and their origin."""
     return _of_file(file) or (limits_of(sequence.acceptance), "the sequence")
 
 
@@ -75,9 +63,6 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     The limits are those stored in the run's recording, because the file of limits may have changed
     since the start of the run. If neither a file nor the sequence states limits, the run is not
     judged.
-
-    Raises:
-        InputError: The limits cannot be read, or a file cannot be written.
     """
 
     limits, source = _stated_limits(folder, None)
@@ -97,11 +82,7 @@ _OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin; see :func:`_stated_limits`.
-
-    Raises:
-        InputError: No limits are stated, or they cannot be read.
-    """
+    """Return the limits for a run and their origin; see :func:`_stated_limits`."""
     limits, source = _stated_limits(folder, file)
     if not limits:
         raise InputError(

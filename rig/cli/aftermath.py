@@ -53,10 +53,6 @@ def conclude(
 
     The outcome has been shown and recorded before, so that no failure in this function can hide the
     outcome. Messages are shown before the page is drawn, because the drawing may be slow or fail.
-
-    Raises:
-        InputError: ``json_file`` cannot be written.
-        BaseException: An unexpected exception during the run.
     """
     record = folder.record
     gone = not folder.recording.exists()

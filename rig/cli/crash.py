@@ -23,9 +23,7 @@ _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog", "commission"})
 _LONGEST: Final = 300
-"""Number of characters of an exception's message that are shown; the traceback contains the whole
-message.
-"""
+"""Most characters of an exception's message that are shown; the traceback has all."""
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _NOT_KNOWN: Final = (
     "the state of the drive is not known; switch the main supply of a real bench off "

@@ -223,11 +223,7 @@ def main() -> None:
 
 
 def status(arguments: list[str]) -> int:
-    """Run the command line and return its exit status; every error becomes a message on stderr.
-
-    Raises:
-        SystemExit: A command ended the program by itself.
-    """
+    """Run the command line and return its exit status; every error becomes a message on stderr."""
     try:
         result = cli.main(arguments, prog_name="rig", standalone_mode=False)
     except click.exceptions.Exit as error:

@@ -207,8 +207,6 @@ def commission(
 
     Raises:
         InputError: A connection to the bench is impossible.
-        DeviceError: A device does not answer when the bench is connected.
-        StorageError: The recording cannot be written.
     """
     text = document.path.read_text(encoding="utf-8-sig")
     result = Commissioning(Ending.DONE, "", text)

@@ -151,17 +151,6 @@ class HomeRequest:
         return self.method in IN_PLACE
 
 
-def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
-    """Return the bench's limits with reduced speed, torque and current."""
-    limits = bench_limits(bench)
-    return dataclasses.replace(
-        limits,
-        speed=min(math.radians(fastest_deg_s), SPEED_SHARE * limits.speed),
-        torque=TORQUE_SHARE * limits.torque,
-        current=TORQUE_SHARE * limits.current,
-    )
-
-
 @dataclass
 class Setup:
     """A connected bench.
@@ -200,7 +189,13 @@ class Setup:
         home: HomeRequest | None = None,
     ) -> Setup:
         """Return the setup of a bench whose link is open."""
-        limits = low_limits(bench, fastest_deg_s)
+        limits = bench_limits(bench)
+        limits = dataclasses.replace(
+            limits,
+            speed=min(math.radians(fastest_deg_s), SPEED_SHARE * limits.speed),
+            torque=TORQUE_SHARE * limits.torque,
+            current=TORQUE_SHARE * limits.current,
+        )
         cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
         recorder.begin(cycle.start_ns)
         return cls(bench, devices, interview, stop, recorder, limits, cycle, home=home)

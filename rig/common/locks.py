@@ -42,11 +42,8 @@ class Holder:
     """A program that holds a lock.
 
     Attributes:
-        pid: Process identifier of the program.
         command: Name of the program, such as ``rig run``.
         what: Locked object: ``bench NAME`` or ``run folder PATH``.
-        user: User who started the program.
-        host: Computer on which the program runs.
         since: Time at which the program took the lock, ISO 8601 in UTC.
     """
 
@@ -238,12 +235,8 @@ def hold_bench(
 ) -> Lock:
     """Lock all parts of a bench, or none.
 
-    Args:
-        name: Name of the bench.
-        resources: Parts of the bench; see :func:`rig.wiring.connect.resources`. If empty,
-            nothing is locked.
-        command: The locking command, such as ``rig run``.
-        folder: Folder of the lock files; :data:`LOCK_FOLDER` by default.
+    ``resources``: parts of the bench; see :func:`rig.wiring.connect.resources`. If empty, nothing
+    is locked. ``folder``: folder of the lock files; :data:`LOCK_FOLDER` by default.
 
     Raises:
         InUseError: Another program holds the lock of a part of the bench.
@@ -267,7 +260,6 @@ def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
     Raises:
-        InputError: The folder does not exist.
         InUseError: Another program holds the lock.
         StorageError: The lock file cannot be written.
     """

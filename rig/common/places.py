@@ -40,38 +40,33 @@ def require_plain(path: Path) -> None:
         )
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a regular file.
+@contextmanager
+def usable(place: object, deed: str, remedy: str = "") -> Iterator[None]:
+    """Turn an error of the operating system into an InputError: ``place`` cannot be ``deed``."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{place}: cannot be {deed}: {error.strerror or error}{_after(remedy)}"
+        ) from error
 
-    Raises:
-        OSError: The file cannot be read; ``strerror`` states the reason.
-    """
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a regular file."""
     require_plain(path)
     return path.read_bytes()
 
 
 def read_json(path: Path, remedy: str = "") -> Any:
-    """Return the content of a JSON file.
-
-    Raises:
-        InputError: The file cannot be read, is not JSON, or has a number beyond the floating-point
-            range.
-    """
+    """Return the content of a JSON file."""
     return parse_json(path, read_utf8(path, remedy))
 
 
 def read_utf8(path: Path, remedy: str = "") -> str:
-    """Return the text of a file in UTF-8.
-
-    Raises:
-        InputError: The file cannot be read, or has another encoding.
-    """
+    """Return the text of a file in UTF-8."""
     try:
-        return read_bytes(path).decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror or error}{_after(remedy)}"
-        ) from error
+        with usable(path, "read", remedy):
+            return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text"
@@ -79,11 +74,7 @@ def read_utf8(path: Path, remedy: str = "") -> str:
 
 
 def parse_json(path: Path, text: str) -> Any:
-    """Return the content of JSON text.
-
-    Raises:
-        InputError: The text is not JSON, or has a number beyond the floating-point range.
-    """
+    """Return the content of JSON text."""
     try:
         return json.loads(text, parse_int=_whole)
     except RecursionError as error:
@@ -121,11 +112,7 @@ def _after(remedy: str) -> str:
 
 
 def require_folder(path: Path, option: str) -> None:
-    """Check before the work that a folder exists or can be created; the function creates nothing.
-
-    Raises:
-        InputError: The folder cannot be made; the message names the parent folder that prevents it.
-    """
+    """Check before the work that a folder exists or can be created; create nothing."""
     above = path
     while not os.path.exists(above) and above != above.parent:
         above = above.parent
@@ -138,11 +125,7 @@ def require_folder(path: Path, option: str) -> None:
 
 
 def require_file(path: Path | None, option: str) -> None:
-    """Check before the work that a file can be written; the function creates nothing.
-
-    Raises:
-        InputError: The file's folder is missing or read-only, or the path is that of a folder.
-    """
+    """Check before the work that a file can be written; the function creates nothing."""
     if path is None:
         return
     if is_folder(path):
@@ -182,21 +165,13 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step.
-
-    Raises:
-        OSError: The file cannot be written; an earlier version is kept.
-    """
+    """Write a text file in one step."""
     with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
         stream.write(valid(text))
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write JSON in one step.
-
-    Raises:
-        OSError: The file cannot be written; an earlier version is kept.
-    """
+    """Write JSON in one step."""
     text = json.dumps(record, indent=1)
     if "\\ud" in text:
         # The text may have undecoded bytes as lone surrogates, which strict JSON readers refuse.
@@ -205,16 +180,8 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
-    """Write the file of ``--json``; do nothing if the path is None.
-
-    Raises:
-        InputError: The file cannot be written; an earlier version is kept.
-    """
+    """Write the file of ``--json``; do nothing if the path is None."""
     if path is None:
         return
-    try:
+    with usable(path, "written", "give --json another place"):
         write_json(path, record)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; give --json another place"
-        ) from error

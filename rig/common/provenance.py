@@ -26,11 +26,7 @@ def sha256(content: bytes) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """Return the SHA-256 of a file in hexadecimal.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
+    """Return the SHA-256 of a file in hexadecimal."""
     require_plain(path)
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -89,11 +85,9 @@ class Provenance:
     """Provenance data in every result file.
 
     Attributes:
-        seed: Seed of the random generator.
         inputs: SHA-256 of the input files, by path.
         seconds: Wall-clock time spent.
         created: Time of creation, ISO 8601 in UTC.
-        versions: Versions of this program and its dependencies.
     """
 
     seed: int
@@ -111,11 +105,7 @@ class Provenance:
         described_by: Path | None = None,
         tables: Mapping[str, str] | None = None,
     ) -> Provenance:
-        """Return the provenance of a result made just now from these recordings.
-
-        Raises:
-            OSError: ``described_by`` cannot be read.
-        """
+        """Return the provenance of a result made just now from these recordings."""
         inputs = {}
         if described_by is not None:
             file = described_by / RUN_FILE if is_folder(described_by) else described_by

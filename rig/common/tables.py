@@ -17,13 +17,7 @@ NO_CHANGE: Final = "no change"
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     """Return a table with aligned columns, a rule under the header and no trailing blanks.
 
-    Args:
-        header: Column titles.
-        rows: Cells, as many per row as there are titles.
-        right: Indices of the columns aligned to the right (numbers).
-
-    Raises:
-        ValueError: The number of cells of a row differs from that of the titles.
+    ``right``: indices of the columns aligned to the right (numbers).
     """
     for number, row in enumerate(rows):
         if len(row) != len(header):

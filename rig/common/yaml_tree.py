@@ -115,11 +115,7 @@ def scalar(text: str) -> Scalar:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a UTF-8 file.
-
-    Raises:
-        DocumentError: The file is missing, not a file, unreadable, too large or not UTF-8.
-    """
+    """Return the text of a UTF-8 file."""
     try:
         if path.is_dir():
             raise DocumentError("is a folder; name a YAML file")
@@ -147,10 +143,6 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
     Returns:
         The tree, and the duplicate keys as (mark, key, message); the tree has the first of the
         duplicates.
-
-    Raises:
-        DocumentError: The syntax is wrong, the document is empty, or its top level is not a
-            mapping.
     """
     if (wrong := Reader.NON_PRINTABLE.search(text)) is not None:
         before = text[: wrong.start()]
@@ -261,14 +253,8 @@ def csv_rows(text: str, path: Path, rename: Mapping[str, str] = MappingProxyType
     the semicolon, tab or comma that the header has. Lines that are empty or begin with ``#`` are
     left out.
 
-    Args:
-        text: Content of the file.
-        path: The file, for the places of the values.
-        rename: Keys, with dots, of columns whose names are not the keys.
-
-    Raises:
-        DocumentError: The text is not CSV, the header is empty or has equal names, or the number of
-            cells of a row differs from that of the header; the error's mark names the file.
+    ``path``: the file, for the places of the values. ``rename``: keys, with dots, of columns whose
+    names are not the keys.
     """
     lines = text.split("\n")
     used = [n for n, line in enumerate(lines) if line.strip() and not line.startswith("#")]
@@ -301,10 +287,6 @@ def row(header: Sequence[Node], cells: Sequence[Node], place: Mark) -> Node:
         header: Names of the columns, each a key, with dots for a key inside another key.
         cells: Values of the row, one below each column name.
         place: Where the row starts.
-
-    Raises:
-        DocumentError: The numbers of names and cells differ, a name is missing or given twice, or
-            one column names a key inside the key of another.
     """
     if len(cells) != len(header):
         raise DocumentError(

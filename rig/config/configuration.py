@@ -103,9 +103,7 @@ def located_text(
 
 
 def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
-    """Validate a tree that was read from ``path``; the problems ``found`` in reading are reported
-    too.
-    """
+    """Validate a tree from ``path``; report the problems ``found`` in reading, too."""
     found = list(found)
     try:
         # With JSON input in strict mode, "5" and true are not numbers, but lists are accepted as

@@ -498,12 +498,7 @@ HOST = "127.0.0.1"
 def serve(
     starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve the console until SIGINT or SIGTERM.
-
-    Raises:
-        InputError: The port is in use.
-        OSError: The control sockets cannot be used.
-    """
+    """Serve the console until SIGINT or SIGTERM."""
     with _listening(port) as listener:
         port = listener.getsockname()[1]
         token = Token()

@@ -61,21 +61,6 @@ def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
     return np.stack([(derived | {**samples})[c.name] * c.scale for c in CHANNELS])
 
 
-def channel_records(about: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the channels with their limits in the units of display, as JSON values."""
-    limits = {row["channel"]: row for row in about["limits"]}
-    return [
-        {
-            "name": channel.name,
-            "label": channel.label,
-            "unit": channel.unit,
-            "low": _scaled(limits.get(channel.name, {}).get("low"), channel.scale),
-            "high": _scaled(limits.get(channel.name, {}).get("high"), channel.scale),
-        }
-        for channel in CHANNELS
-    ]
-
-
 def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else value * scale
 
@@ -296,7 +281,17 @@ class Followed(Reached):
         self.current = False
         self.trouble: str | None = None
         self.continued_s: list[float] = []
-        self._channels = channel_records(about)
+        limits = {row["channel"]: row for row in about["limits"]}
+        self._channels = [
+            {
+                "name": channel.name,
+                "label": channel.label,
+                "unit": channel.unit,
+                "low": _scaled(limits.get(channel.name, {}).get("low"), channel.scale),
+                "high": _scaled(limits.get(channel.name, {}).get("high"), channel.scale),
+            }
+            for channel in CHANNELS
+        ]
         self._answers = 0
         self._stamp: tuple[int, int] | None = None
         self._judged: object = None

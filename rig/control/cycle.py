@@ -139,9 +139,7 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Set the limits of further samples, without those on values that the drive does not
-        report.
-        """
+        """Set the limits of further samples, without those on missing values."""
         self._limits = self._checkable(limits)
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:

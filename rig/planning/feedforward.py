@@ -185,9 +185,6 @@ def stage_offsets(
         torque_limit: Torque limit of the run, N m.
         speed_limit: Speed limit of the run, rad/s. A joint far from its command, as with soft
             gains, returns with at most :data:`CATCH_UP_SHARE` of this speed.
-
-    Raises:
-        InputError: The stage is loaded, and the identification did not determine a load parameter.
     """
     moment = model.moment_per_kg * weight_kg
     if missing := model.missing(loaded=moment > 0.0):

@@ -101,11 +101,6 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a run: compute all targets, and check them against the limits of the
     bench.
-
-    Raises:
-        InputError: A stage exceeds a limit of the bench, or a limit of the sequence is wider than
-            that of the bench (the message lists all); or the drive cannot add torque, or the
-            identification lacks parameters for feed-forward.
     """
     if feedforward is not None:
         require_torque_offset(bench)

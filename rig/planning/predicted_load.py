@@ -53,9 +53,7 @@ class FrictionModel:
 def friction_model(
     bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
 ) -> FrictionModel:
-    """Return the friction ``named``, else the newest result in ``runs`` of such a bench, or the
-    paper.
-    """
+    """Return the friction ``named``, else the newest in ``runs`` of the bench, or the paper's."""
     if named is not None:
         return _identified(named, bench)
     newest: list[tuple[float, Path]] = []
@@ -318,11 +316,6 @@ def breakaway_speed(stiffness_N_m_rad: float, command_rad_s: float, model: Frict
     Relative to the command, the joint is a damped oscillator of inertia, stiffness of the position
     loop and viscous friction, which starts with the speed of the command and is accelerated by the
     difference of static and sliding friction.
-
-    Args:
-        stiffness_N_m_rad: Joint torque per position error.
-        command_rad_s: Speed of the command.
-        model: Friction and inertia of the bench.
     """
     inertia, damping = model.values["J"], model.values["sigma_2"]
     drop = model.values["Ms"] - model.values["Mc"]

@@ -10,7 +10,6 @@ import base64
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -18,8 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import jinja2
 
 from identification.recording import Recording
-from rig.common.errors import InputError
-from rig.common.places import write_json, write_text
+from rig.common.places import usable, write_json, write_text
 from rig.common.provenance import Provenance
 from rig.common.tables import table
 
@@ -27,13 +25,14 @@ if TYPE_CHECKING:
     from identification.plots.style import Figure
 
 
+_ELSEWHERE = "give --out or --json another place"
+
+
 @dataclass(frozen=True)
 class Table:
     """A table with text cells.
 
     Attributes:
-        header: Column titles.
-        rows: Cells, row by row.
         right: Indices of the columns of numbers.
     """
 
@@ -127,8 +126,6 @@ class Document:
     """Output of a command as a summary and in full.
 
     Attributes:
-        title: Heading.
-        subtitle: Line below the heading.
         summary: Summary for the terminal; blank lines separate its sections.
         sections: Full content for the page; empty if there is no page.
         facts: Name and value of the facts at the top of the page, such as bench, date and operator.
@@ -257,24 +254,17 @@ PAGE_FILE = "report.html"
 
 
 def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) -> None:
-    """Write a result file into its folder, which is created, and a copy if requested.
-
-    Raises:
-        InputError: A path cannot be written.
-    """
-    with _writing(*filter(None, (file.parent, json_file))):
+    """Write a result file into its folder, which is created, and a copy if requested."""
+    places = " or ".join(map(str, filter(None, (file.parent, json_file))))
+    with usable(places, "written", _ELSEWHERE):
         file.parent.mkdir(parents=True, exist_ok=True)
         for path in filter(None, (file, json_file)):
             write_json(path, record)
 
 
 def write_page(document: Document, file: Path) -> None:
-    """Write a document as a page, with its pictures embedded and as files in ``figures``.
-
-    Raises:
-        InputError: The folder cannot be written.
-    """
-    with _writing(file.parent):
+    """Write a document as a page, with its pictures embedded and as files in ``figures``."""
+    with usable(file.parent, "written", _ELSEWHERE):
         (file.parent / "figures").mkdir(parents=True, exist_ok=True)
         for picture in document.pictures():
             (file.parent / picture.file).write_bytes(picture.data)
@@ -282,24 +272,8 @@ def write_page(document: Document, file: Path) -> None:
 
 
 def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write text files into a folder, by their paths relative to the folder.
-
-    Raises:
-        InputError: The folder cannot be written.
-    """
-    with _writing(folder):
+    """Write text files into a folder, by their paths relative to the folder."""
+    with usable(folder, "written", _ELSEWHERE):
         for name, text in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_text(folder / name, text)
-
-
-@contextmanager
-def _writing(*places: Path) -> Iterator[None]:
-    """Turn a write error into an InputError that names the paths and the remedy."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or "
-            f"--json another place"
-        ) from error

@@ -15,9 +15,7 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
 Measured = Callable[[RunRecord, Dataset | None, str], float | None]
-"""Function that computes a statistic of a quantity, in SI units, from the record of a run and its
-finished excitations; the result is None if the quantity was not recorded.
-"""
+"""Computes a statistic, SI, of a run and its excitations; None if it was not recorded."""
 SIMULATED, PACED = ("answer",), ("lateness",)
 """Durations that a simulated bench measures in simulated time: the first always, the second only if
 the bench does not run in real time. In real time the lateness is that of this computer.
@@ -89,9 +87,7 @@ QUANTITIES: Mapping[str, Measured] = {
     "lost samples": _count("lost_servo", "lost_encoder"),
     "missed SYNCs": _count("missed_syncs"),
 }
-"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES` except the
-torque error, which is a result of the identification.
-"""
+"""Functions of :data:`rig.config.acceptance.MEASURES`, except the torque error."""
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:

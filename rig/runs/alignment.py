@@ -17,20 +17,14 @@ from identification.recording import Array
 from identification.signals import quantum
 
 AGREE = 0.02
-"""Age of the encoder's samples, in periods, up to which the samples of encoder and drive count as
-simultaneous.
-"""
+"""Age of the encoder's samples, in periods, up to which they are simultaneous."""
 _SHARE = 0.01
 """Share of samples that may be older than ``AGREE``, so that single late stamps have no effect."""
 _BLOCKS = 500
 _LEAST = 5.0
-"""Percentile of the ages in a block that counts as the least age of the block, so that single early
-stamps have no effect.
-"""
+"""Percentile of a block's ages that is its least age, robust to early stamps."""
 _FILLED = 3
-"""Greatest number of consecutive encoder samples that are interpolated because the encoder
-overwrote them before the drive's next sample.
-"""
+"""Most encoder samples in a row that were overwritten and are interpolated."""
 
 
 def taken_at(reference: Array, stamps: Array) -> Array:

@@ -52,9 +52,6 @@ def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
     """Yield topic and message of one recording of a run, in recorded order.
 
     If the recording was never closed, all messages up to its last complete chunk are yielded.
-
-    Raises:
-        InputError: The recording is damaged, or cannot be read.
     """
     path = folder / part.file
     with _readable(path, folder), Tail(path) as tail:
@@ -86,9 +83,6 @@ class FrameClock:
 
     Frames in recordings of earlier versions count from an unknown origin; their first frame is
     assumed to be at the start of the recording.
-
-    Raises:
-        InputError: The recording is damaged, or cannot be read.
     """
 
     def __init__(self, folder: Path, part: PartRecord) -> None:
@@ -201,12 +195,7 @@ TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] 
 
 
 def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Count:
-    """Write the raw CAN frames of a run.
-
-    Raises:
-        InputError: The run has no CAN frames, or a recording is damaged.
-        OSError: The file cannot be written.
-    """
+    """Write the raw CAN frames of a run."""
     count = Count(parts=[part.file for part in record.parts])
     with open(path, "w", encoding="ascii", newline="\n") as stream:
         TRAFFIC[kind][1](stream, _can_frames(folder, record, count))
@@ -222,12 +211,7 @@ RECORDING_TYPE = "loadrig/msg/Recording"
 
 
 def write_mcap(dataset: Dataset, path: Path, run: Run | None) -> None:
-    """Write the recordings and, for a run, its events and raw frames.
-
-    Raises:
-        InputError: A recording of the run is damaged.
-        OSError: The file cannot be written.
-    """
+    """Write the recordings and, for a run, its events and raw frames."""
     created = {} if run is None else {part.file: _utc_ns(part.created) for part in run[1].parts}
     with open(path, "wb") as stream:
         writer = McapWriter(stream)
@@ -309,9 +293,6 @@ def extension(kind: str) -> str:
 def with_ending(path: Path, kind: str) -> Path:
     """Return the path of an export with the ending of its format, by which a campaign and other
     programs recognise it; an ending that is missing is added.
-
-    Raises:
-        InputError: The path has the ending of another format, or an unknown one.
     """
     ending = extension(kind)
     if not path.suffix:
@@ -348,16 +329,8 @@ def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
 def export(dataset: Dataset, path: Path, kind: str, run: Run | None = None) -> None:
     """Write one file of :func:`files`, and beside a CSV file its description.
 
-    Args:
-        dataset: The recordings.
-        path: The file.
-        kind: One of :data:`WRITERS`.
-        run: Folder and record of the run of the recordings; an MCAP file also contains the events
-            and frames of the run.
-
-    Raises:
-        InputError: Parquet is requested but not installed, or the run is damaged.
-        OSError: The file cannot be written.
+    ``kind``: one of :data:`WRITERS`. ``run``: folder and record of the run of the recordings; an
+    MCAP file also contains the events and frames of the run.
     """
     with replacing(path) as draft:
         WRITERS[kind](dataset, draft, run)

@@ -74,11 +74,7 @@ class Described(BaseModel):
     def recording(
         self, channels: Mapping[str, Array], bench: Bench, source: str, sha256: str
     ) -> Recording:
-        """Return the recording.
-
-        Raises:
-            RecordingError: Channels and description do not fit together.
-        """
+        """Return the recording."""
         kept = {name: getattr(self, name) for name in _COPIED}
         return Recording(
             channels=channels,
@@ -121,11 +117,7 @@ def _one(recording: Recording) -> dict[str, Any]:
 
 
 def parse(text: str | bytes, path: Path) -> tuple[Described, ...]:
-    """Read a description.
-
-    Raises:
-        InputError: The description was changed, or is of another version.
-    """
+    """Read a description."""
     try:
         return _Description.model_validate_json(text).recordings
     except ValidationError as error:
@@ -364,7 +356,6 @@ def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording
     """Return the recordings of an export, or None if another program wrote the file.
 
     Raises:
-        InputError: The numbers in the file do not fit the description.
         OSError: The file cannot be read.
     """
     reader = READERS.get(kind)

@@ -117,9 +117,7 @@ TOPICS = (
     _ros(ros.CAN_TOPIC, FRAMES_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
     _ros(ros.SERIAL_TOPIC, FRAMES_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
 )
-"""PlotJuggler reads only ROS 2 messages from a live stream; samples and frames are therefore
-encoded as ROS 2 messages.
-"""
+"""PlotJuggler reads only ROS 2 messages live; samples and frames are encoded so."""
 
 
 class Outgoing(NamedTuple):
@@ -167,7 +165,6 @@ class Offer:
     """Recording that is served, and how it is served.
 
     Attributes:
-        recording: The file.
         name: Name of the source that clients show.
         token: Token that an address must contain, or None for no token.
         last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
@@ -363,9 +360,7 @@ class _Client:
             self._changed.clear()
 
     async def _hand(self, offset: int, piece: Piece) -> None:
-        """Send the messages of a piece to the subscriptions that are complete up to ``offset``, and
-        advance these subscriptions.
-        """
+        """Send a piece to the subscriptions that are complete up to ``offset``; advance them."""
         ready = {self._topics[number]: number for number, at in self._at.items() if at == offset}
         events: list[Event] = []
         for item in outgoing(piece.messages, frozenset(ready)):

@@ -31,11 +31,7 @@ class GivenFile:
 
     @classmethod
     def of(cls, path: Path) -> Self:
-        """Read a file.
-
-        Raises:
-            OSError: The file cannot be read.
-        """
+        """Read a file."""
         content = path.read_bytes()
         return cls(input_entry(path, sha256(content)), content)
 
@@ -67,9 +63,6 @@ def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
 
     If no recording contains the file, because a recording could not be started, the file itself is
     read, provided that it is unchanged.
-
-    Raises:
-        InputError: No recording contains the file, and the file is missing or was changed.
     """
     entry = record.inputs.get(ACCEPTANCE_INPUT)
     if entry is None:
@@ -124,9 +117,6 @@ def truth_of(source: Path) -> dict[str, float] | None:
     The run folder does not contain the true parameters. They are read from the bench file of the
     run or from a packaged file of this name, if the file has the recorded SHA-256. The result is
     None for a bench with injected effects.
-
-    Raises:
-        InputError: ``run.json`` is damaged.
     """
     if not is_file(source / RUN_FILE):
         return None

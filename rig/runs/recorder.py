@@ -55,6 +55,7 @@ class Recorder:
     Log times are nanoseconds since the start of the run, so that equal runs give equal bytes.
 
     Log times never decrease: if a clock was set back, its messages get the latest earlier log time.
+    Every method raises a StorageError if it cannot write.
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
@@ -79,12 +80,6 @@ class Recorder:
     def begin(self, zero_ns: int) -> None:
         """Set the start of the recording, to be called before the first message; times of frames
         are then recorded as times since this start.
-
-        Args:
-            zero_ns: Start of the recording by the clock that stamps the frames, ns.
-
-        Raises:
-            StorageError: The metadata cannot be written.
         """
         self._zero_ns = zero_ns
         self.metadata(CLOCK_METADATA, {"zero_ns": str(zero_ns)})
@@ -133,11 +128,7 @@ class Recorder:
         raise GoneError(self._path, moved=mine.st_nlink > 0)
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
-        """Record an event with JSON details, and pass it to the operating system immediately.
-
-        Raises:
-            StorageError: The event cannot be written.
-        """
+        """Record an event with JSON details, and pass it to the operating system immediately."""
         time_ns = self._latest_ns = max(time_ns, self._latest_ns)
         record = {"time": time_ns / 1e9, "event": event, **details}
         with self._writing():
@@ -148,9 +139,6 @@ class Recorder:
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
         """Record frames from outside the control cycle, and pass them to the operating system
         immediately.
-
-        Raises:
-            StorageError: The frames cannot be written.
         """
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
@@ -159,11 +147,7 @@ class Recorder:
                 self._writer.flush()
 
     def copy(self, topic: str, time_ns: int, message: bytes) -> None:
-        """Record a message unchanged from another recording.
-
-        Raises:
-            StorageError: The message cannot be written.
-        """
+        """Record a message unchanged from another recording."""
         channel = {
             SAMPLE_TOPIC: self._sample,
             EVENT_TOPIC: self._event,
@@ -173,21 +157,13 @@ class Recorder:
             self._writer.message(channel, time_ns, message)
 
     def attach(self, name: str, media_type: str, content: bytes) -> None:
-        """Attach a file.
-
-        Raises:
-            StorageError: The file cannot be written.
-        """
+        """Attach a file."""
         with self._writing():
             self._writer.attachment(name, media_type, content)
             self._writer.flush()
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add key-value metadata.
-
-        Raises:
-            StorageError: The metadata cannot be written.
-        """
+        """Add key-value metadata."""
         with self._writing():
             self._writer.metadata(name, values)
             self._writer.flush()

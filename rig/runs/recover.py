@@ -46,7 +46,6 @@ class Recovery:
 
     Attributes:
         damage: Message on each damaged file, which begins with the name of the file.
-        samples: Number of samples after the recovery.
         record: ``run.json`` after the recovery.
         changed: Whether a file was written.
         taken_over: Program that had left the folder locked, or None for none.
@@ -63,10 +62,8 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
     """Lock a run folder, and repair it with :func:`mend`.
 
     Raises:
-        InputError: No recording is readable, or the folder has the files of an earlier recovery.
         InUseError: The run is in progress, or another program uses the folder.
         StorageError: The folder cannot be locked.
-        OSError: The folder cannot be written.
     """
     with hold_folder(folder, purpose) as lock:
         return dataclasses.replace(mend(folder), taken_over=lock.taken_over)
@@ -79,7 +76,6 @@ def mend(folder: Path) -> Recovery:
     A complete run is not changed. The caller must hold the lock of the folder.
 
     Raises:
-        InputError: No recording is readable, or the folder has the files of an earlier recovery.
         OSError: The folder cannot be written.
     """
     first = read_log(folder / RECORDING_FILE)
@@ -234,7 +230,6 @@ class Resumption:
         record: ``run.json``, completed.
         bench: The bench file of the run, which is unchanged.
         sequence: The sequence file of the run, which is unchanged.
-        stage: Index of the stage with which the run continues.
         mended: Messages on recordings whose writer died.
         died: Whether the writer of the last recording died, so that the drive's watchdog stopped
             the drive.
@@ -255,8 +250,6 @@ def prepare(folder: Path) -> Resumption:
     of the folder until the resumed run has ended.
 
     Raises:
-        InputError: All stages are done, or the bench or sequence file is gone or was
-            changed since.
         OSError: The folder cannot be written.
     """
     recovery = mend(folder)

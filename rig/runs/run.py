@@ -15,7 +15,7 @@ from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError, StorageError
 from rig.common.locks import OWNER_FILE, Lock, hold_folder
-from rig.common.places import is_file, write_json
+from rig.common.places import is_file, usable, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
 from rig.runs.mcap.reader import Block, DamageError, Log, NotARecordingError, read_run, run_items
@@ -105,13 +105,9 @@ CHANNELS = (
     "temperature",
 )
 MOST_SAMPLES = 5_000_000
-"""Number of samples of one recording above which the channels :data:`LEFT_OUT` are not read; ten
-hours at 1 kHz fit into 4 GiB without these channels.
-"""
+"""Samples above which :data:`LEFT_OUT` are not read; ten hours at 1 kHz fit into 4 GiB."""
 _MOST_PER_BYTE = 4
-"""Greatest number of samples per byte of a recording, because LZ4 packs 255 bytes into 1; a
-``run.json`` that states more samples is wrong.
-"""
+"""Most samples per byte of a recording (LZ4: 255 to 1); a record with more is wrong."""
 
 Samples = dict[str, Array]
 
@@ -121,13 +117,7 @@ def by_segment(
 ) -> tuple[dict[int, Samples], str | None]:
     """Return the samples by index of the segment, including stale samples, and a message on damage.
 
-    Args:
-        path: The recording.
-        segments: The requested segments.
-        whole: Whether the recording was closed regularly, so that it can be streamed.
-
-    Raises:
-        InputError: The file cannot be opened or is not a recording.
+    ``whole``: whether the recording was closed regularly, so that it can be streamed.
     """
     most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
     expected = {s.index: min(s.samples, most) for s in segments}
@@ -145,15 +135,10 @@ def by_segment(
 
 
 def read_log(path: Path) -> Log:
-    """Read a recording as a whole.
-
-    Raises:
-        InputError: The file cannot be opened or is not a recording.
-    """
+    """Read a recording as a whole."""
     try:
-        return read_run(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        with usable(path, "read"):
+            return read_run(path)
     except NotARecordingError as error:
         raise InputError(str(error)) from error
 
@@ -215,19 +200,13 @@ RESERVE_FILE = ".reserve"
 """File of a run in progress whose space is used for ``run.json`` if the disk is full."""
 RESERVED_BYTES = 1 << 20
 CYCLE_BYTES = 400
-"""Greatest size of a control cycle in a recording; measured: 220 bytes over CAN, 330 over serial
-lines.
-"""
+"""Greatest size of a recorded cycle; measured: 220 bytes over CAN, 330 over serial."""
 _MARGIN_BYTES = 16 << 20
 """Space for the page, results and ``run.json``."""
 
 
 def require_space(path: Path, cycles: float) -> None:
-    """Check that the disk has the space for a whole run.
-
-    Raises:
-        InputError: The space is not sufficient.
-    """
+    """Check that the disk has the space for a whole run."""
     above = path
     while not above.exists() and above != above.parent:
         above = above.parent
@@ -258,11 +237,7 @@ class RunFolder:
         return self.path / self.record.parts[-1].file
 
     def save(self) -> None:
-        """Replace ``run.json`` as a whole, so that no reader sees an incomplete file.
-
-        Raises:
-            StorageError: The file cannot be written; the previous version is kept.
-        """
+        """Replace ``run.json`` as a whole, so that no reader sees an incomplete file."""
         try:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
         except OSError as error:
@@ -273,9 +248,6 @@ class RunFolder:
     def reserve(self) -> None:
         """Occupy the space for the last version of ``run.json``, until :meth:`ended`, so that the
         state of a run that ended because the disk is full can be stored.
-
-        Raises:
-            StorageError: The disk has no space for it.
         """
         try:
             (self.path / RESERVE_FILE).write_bytes(bytes(RESERVED_BYTES))
@@ -371,14 +343,11 @@ def create_folder(path: Path, purpose: str) -> Lock:
     """Make the folder of a new run, and lock it; the caller must release the lock.
 
     Raises:
-        InputError: The folder exists and is not empty, or cannot be made.
         InUseError: Another program uses the folder.
         StorageError: The folder cannot be locked.
     """
-    try:
+    with usable(path, "used as a run folder"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     lock = hold_folder(path, purpose)
     try:
         # Checked under the lock, so that only one of two programs can find the folder empty.
@@ -390,16 +359,10 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder does not exist, or contains nothing but the lock.
-
-    Raises:
-        InputError: The folder is not empty, or cannot be read.
-    """
-    try:
+    """Check that a folder does not exist, or contains nothing but the lock."""
+    with usable(path, "used as a run folder"):
         items = path.iterdir() if path.exists() else ()
         occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
             f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is "
@@ -413,14 +376,8 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     Samples whose answer was incomplete are left out, with a note in the recording. If a stage was
     run more than once, its last run counts.
 
-    Args:
-        folder: The run folder.
-        partial: Whether to also take unfinished excitations, up to their last fresh sample;
-            excitations that are too short for a recording are left out.
-
-    Raises:
-        InputError: The folder is not a run, its recording is unreadable, or no stage was finished
-            (with ``partial``: no excitation was recorded).
+    ``partial``: whether to also take unfinished excitations, up to their last fresh sample;
+    excitations that are too short for a recording are left out.
     """
     record = read_record(folder)
     wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]

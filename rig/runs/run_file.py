@@ -41,9 +41,7 @@ class _Constants(BenchConstants):
 
 
 _ADDED = {"gas_generator": None}
-"""Constants that older versions of ``run.json`` do not contain, because those versions had no hot
-firings.
-"""
+"""Constants that ``run.json`` of versions without hot firings lacks."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)} - {"supply_voltage"}
 """Constants that every record states; those of earlier versions have no voltage of the supply."""
@@ -64,12 +62,7 @@ def _adapter(record: type[Any]) -> TypeAdapter[Any]:
 
 
 def read_record(folder: Path) -> RunRecord:
-    """Read ``run.json``.
-
-    Raises:
-        InputError: The file is missing, damaged, of another version or has invalid values; the
-            message has every error with its place.
-    """
+    """Read ``run.json``."""
     path = folder / RUN_FILE
     text = read_utf8(path, "is this a run folder?")
     try:
@@ -204,14 +197,7 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 
 
 def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept.
-
-        Returns:
-            Digests of all sealed files, by name.
-
-    Raises:
-        OSError: A file cannot be read, or the seal cannot be written.
-    """
+    """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept."""
     try:
         sealed = dict(read_seal(folder))
     except InputError:
@@ -224,20 +210,12 @@ def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def seal_run(folder: Path, record: RunRecord) -> dict[str, str]:
-    """Record the digests of a run's record and recordings at its end.
-
-    Raises:
-        OSError: See :func:`seal`.
-    """
+    """Record the digests of a run's record and recordings at its end."""
     return seal(folder, [RUN_FILE, *(part.file for part in record.parts)])
 
 
 def read_seal(folder: Path) -> Mapping[str, str]:
-    """Return the digests in the seal, by name; empty if the folder has no seal.
-
-    Raises:
-        InputError: The seal is damaged.
-    """
+    """Return the digests in the seal, by name; empty if the folder has no seal."""
     path = folder / SEAL_FILE
     if not is_file(path):
         return {}

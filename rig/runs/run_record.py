@@ -17,9 +17,7 @@ RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
 FEEDFORWARD_INPUT = "feedforward.json"
-"""Name, as input of a run and as attachment, of the identification from which the torque offsets of
-the drive were computed.
-"""
+"""Name, as input and attachment, of the identification behind the torque offsets."""
 ACCEPTANCE_INPUT = "acceptance.yaml"
 """Name, as input of a run and as attachment, of the file of limits given with ``--acceptance``."""
 DIED = "died"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from identification.prepare import coarser_than_velocity
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.errors import InputError
-from rig.common.places import is_file, is_folder
+from rig.common.places import is_file, is_folder, usable
 from rig.common.provenance import sha256_file
 from rig.common.text import stored_path
 from rig.common.timing import instant
@@ -60,9 +60,6 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
 
     Start times in seconds are used as stated. The earliest ISO time becomes zero. Files with a
     stated order follow one another without a pause.
-
-    Raises:
-        InputError: Several files have equal start times or orders, or recordings overlap.
     """
     problems: list[str] = []
     starts = _starts(files, document, problems)
@@ -165,7 +162,9 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
         return None
     grid, index = found
     jitter = float(np.std(time - grid))
-    rows = _with_neighbours(index, time)
+    consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
+    runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
+    rows = np.flatnonzero(runs) + 2
     if jitter < LEAST_JITTER * float(np.median(np.diff(grid))) or not rows.size:
         return None
     travel = np.abs(angle[rows + 2] - angle[rows - 2])
@@ -188,13 +187,6 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
         if float(np.max(np.abs(mean))) <= MOST_OFF * period:
             return grid, index
     return None
-
-
-def _with_neighbours(index: Rows, time: Array) -> Rows:
-    """Return the rows with two neighbours on either side, each one period from the next."""
-    consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
-    runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
-    return np.flatnonzero(runs) + 2
 
 
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
@@ -224,20 +216,15 @@ def build(
     Returns:
         One recording per piece without gaps, with its corrections as notes, and the time span of
         the whole file, also outside the window.
-
-    Raises:
-        InputError: A column or a sample in the window is missing, or the data cannot be used.
     """
     unsure = document.value.bench.uncertainties()
     if section.moment_arm is not None:
         bench = replace(bench, moment_arm=float(section.moment_arm))
         unsure.pop("bench.moment_arm", None)
-    try:
+    with usable(file, "read"):
         table = open_table(file, section.read.beside(document.path.parent))
         channels, unread, found = read_channels(table, section, document, index)
         digest = sha256_file(file)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     finite = channels["time"][np.isfinite(channels["time"])]
     first, last = (float(finite[0]), float(finite.max())) if finite.size else (0.0, 0.0)
     channels, skipped, cut = _windowed(file, channels, section)
@@ -479,12 +466,7 @@ def _on_even_stamps(recording: Recording) -> Recording:
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
-    """Load a run folder or a campaign file.
-
-    Raises:
-        InputError: The path is neither a run folder nor a campaign file, or a part of the source
-            cannot be used; the message lists all problems.
-    """
+    """Load a run folder or a campaign file."""
     _require_visible(path)
     if is_file(path / "run.json"):
         # Imported here, because recordings of a campaign do not need the reader of run folders.
@@ -508,21 +490,7 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
             f"{path}: --partial is allowed for a run folder only; a campaign file names the "
             "recordings to load"
         )
-    return _load_campaign(load_campaign(path))
-
-
-def _require_visible(path: Path) -> None:
-    """Reject a source that cannot be read, for example a folder without permission."""
-    try:
-        (path / "run.json").stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{path}: cannot be read: {reason}") from error
-
-
-def _load_campaign(document: Document[Campaign]) -> Dataset:
+    document = load_campaign(path)
     campaign = document.value
     bench = campaign.bench.bench()
     problems: list[str] = []
@@ -548,16 +516,25 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     return Dataset(recordings, campaign.model.model(), tables)
 
 
+def _require_visible(path: Path) -> None:
+    """Reject a source that cannot be read, for example a folder without permission."""
+    try:
+        (path / "run.json").stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+
+
 def _exported(
     file: Path, section: RecordingSection, document: Document[Campaign], index: int
 ) -> Read:
     """Read a file of ``rig export``; what the campaign states replaces its constants and role."""
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
-    try:
+    with usable(file, "read"):
         found = read_back(file, format_of(file), bench)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     if found is None:
         raise InputError(
             document.problem(

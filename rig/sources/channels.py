@@ -278,11 +278,7 @@ def _rounded(turn: float, uncertainty: float) -> float:
 
 
 def _declared(name: str, values: Array, modulus: float) -> tuple[Array, str]:
-    """Return a column that starts again after the declared change as one that goes on, and a note.
-
-    Raises:
-        ValueError: The column covers more than the declared change.
-    """
+    """Return a column without the declared change at which it starts again, and a note."""
     exact = 2.0 * pi if abs(modulus / (2.0 * pi) - 1.0) < WHOLE_TOLERANCE else modulus
     known = values[np.isfinite(values)]
     span = float(np.ptp(known)) if known.size else 0.0
@@ -346,9 +342,6 @@ def read_channels(
     Returns:
         Canonical channels in SI units, all of shape (n,), including the time; the number of rows of
         the file before the first used row; and notes.
-
-    Raises:
-        InputError: A column is missing or has no numbers, or the columns have no common rows.
     """
     columns, notes = _columns(table, section, document, index)
     # A column may feed several channels; it is read once.
@@ -384,10 +377,6 @@ def on_one_time(
 
     ``wraps`` holds the change after which a channel starts again, where the campaign states it.
     Returns as well the number of rows before the first used one, and notes.
-
-    Raises:
-        InputError: A position starts again after a change that is neither stated nor that of a
-            counter, or covers more than the stated change; or the time bases do not fit together.
     """
     raw: dict[str, Array] = {}
     notes: list[str] = []

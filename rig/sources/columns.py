@@ -12,45 +12,24 @@ from identification.recording import CHANNELS
 from rig.config.campaign_sections import RecordingSection
 from rig.sources.table import Table
 
+_DEG, _TURN = math.pi / 180.0, 2.0 * math.pi
+_SPELLED: Final[Mapping[str, Mapping[str, float]]] = {
+    "s": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "A": {"a": 1.0, "ma": 1e-3},
+    "V": {"v": 1.0, "mv": 1e-3},
+    "rad": {"rad": 1.0, "mrad": 1e-3}
+    | dict.fromkeys(("deg", "degrees", "°"), _DEG)
+    | dict.fromkeys(("rev", "turns"), _TURN),
+    "rad/s": {"rad/s": 1.0, "deg/s": _DEG, "°/s": _DEG, "rpm": _TURN / 60.0, "1/min": _TURN / 60.0},
+    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "N m": {"nm": 1.0, "mnm": 1e-3},
+    "N": {"n": 1.0, "kn": 1e3},
+    "deg C": {"c": 1.0, "degc": 1.0, "°c": 1.0},
+    "Pa": {"pa": 1.0, "kpa": 1e3, "mpa": 1e6, "bar": 1e5},
+}
 UNITS: Final[Mapping[str, tuple[str, float]]] = {
-    "s": ("s", 1.0),
-    "sec": ("s", 1.0),
-    "seconds": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
-    "a": ("A", 1.0),
-    "ma": ("A", 1e-3),
-    "v": ("V", 1.0),
-    "mv": ("V", 1e-3),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", math.pi / 180.0),
-    "degrees": ("rad", math.pi / 180.0),
-    "°": ("rad", math.pi / 180.0),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180.0),
-    "°/s": ("rad/s", math.pi / 180.0),
-    "rpm": ("rad/s", math.pi / 30.0),
-    "1/min": ("rad/s", math.pi / 30.0),
-    "rev": ("rad", 2.0 * math.pi),
-    "turns": ("rad", 2.0 * math.pi),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "m/s": ("m/s", 1.0),
-    "mm/s": ("m/s", 1e-3),
-    "nm": ("N m", 1.0),
-    "mnm": ("N m", 1e-3),
-    "n": ("N", 1.0),
-    "kn": ("N", 1e3),
-    "c": ("deg C", 1.0),
-    "degc": ("deg C", 1.0),
-    "°c": ("deg C", 1.0),
-    "pa": ("Pa", 1.0),
-    "kpa": ("Pa", 1e3),
-    "mpa": ("Pa", 1e6),
-    "bar": ("Pa", 1e5),
+    word: (si, scale) for si, words in _SPELLED.items() for word, scale in words.items()
 }
 """SI unit and scale for each unit as files write it (lower case, no blanks)."""
 _NAMES: Final[Mapping[str, str]] = {

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
+from rig.common.places import usable
 from rig.config.campaign_sections import ReadSection
 from rig.sources.channels import (
     POSITIONS,
@@ -44,7 +45,7 @@ class Column:
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
         turn: Change after which the column starts again, where a campaign must state it.
-        strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
+        course: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
     name: str
@@ -54,13 +55,13 @@ class Column:
     scale: float
     samples: int
     missing: int
-    low: float
-    high: float
+    least: float
+    greatest: float
     step: float
     flicker: float
     wrap: str
     problem: str
-    strip: tuple[float, ...]
+    course: tuple[float, ...]
     turn: float | None = None
 
 
@@ -70,11 +71,11 @@ class Clock:
 
     column: int
     scale: float
-    period: float
-    low: float
-    high: float
+    period_s: float
+    low_s: float
+    high_s: float
     gaps: int
-    longest: float
+    longest_s: float
     backwards: int
     repeated: int
 
@@ -97,11 +98,9 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
     kind = format_of(path)
     if kind not in FORMATS:
         raise InputError(f"{path}: {unknown_format(path)}")
-    try:
+    with usable(path, "read"):
         table = open_table(path, options)
         series = _series(table)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     units = table.units or ("",) * len(table.names)
     stated = [
         f"{name} [{unit.strip('[]()')}]" if unit else name
@@ -155,8 +154,8 @@ def _doubts(
     if "time" not in used:
         return ()
     clock = _clock(used["time"], data[used["time"]], guesses["time"].scale)
-    doubt = other_unit(clock.period) if clock is not None else ""
-    first = (doubt,) if doubt else ()
+    doubt = other_unit(clock.period_s) if clock is not None else ""
+    first = tuple(filter(None, [doubt]))
     try:
         raw, _, _ = on_one_time(table, used, data, {})
     except InputError as error:
@@ -234,14 +233,17 @@ def _column(
         scale=size,
         samples=len(values),
         missing=len(values) - len(known),
-        low=float(known.min()) if known.size else nan,
-        high=float(known.max()) if known.size else nan,
+        least=float(known.min()) if known.size else nan,
+        greatest=float(known.max()) if known.size else nan,
         step=step,
         flicker=_flicker(known, step),
         wrap=note,
         turn=None if turn is None else turn.after,
         problem="",
-        strip=_strip(values),
+        course=tuple(
+            float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else nan
+            for part in np.array_split(values, min(STRIP, len(values)))
+        ),
     )
 
 
@@ -262,12 +264,6 @@ def _flicker(known: Array, step: float) -> float:
     back = (np.abs(steps[:-1]) == 1) & (steps[1:] == -steps[:-1])
     share = float(np.mean(back))
     return share if share > FLICKER_SHARE else 0.0
-
-
-def _strip(values: Array) -> tuple[float, ...]:
-    parts = np.array_split(values, min(STRIP, len(values)))
-    means = [part[np.isfinite(part)] for part in parts]
-    return tuple(float(part.mean()) if part.size else float("nan") for part in means)
 
 
 def _clock(column: int, values: Array, scale: float) -> Clock | None:

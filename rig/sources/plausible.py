@@ -113,9 +113,7 @@ FEW, SMALL = 0.05, 0.03
 
 
 def one_signed(values: Array) -> int | None:
-    """Return how many samples of a channel of one sign noise gives the other sign; None for a
-    channel of both signs, or of zeros only.
-    """
+    """Return how many samples of a one-signed channel have the other sign; else None."""
     known = values[np.isfinite(values)]
     above, below = known[known > 0], known[known < 0]
     fewer, more = sorted((above, below), key=lambda part: float(np.sum(np.abs(part))))

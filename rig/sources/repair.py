@@ -28,9 +28,7 @@ UNEVEN_SHARE = 0.05
 UNEVEN = "uneven sampling kept as recorded"
 """Beginning of the note on uneven sampling."""
 PERIODS_S = (2e-6, 0.5)
-"""Least and greatest median sample period, s, of a log of a drive; beyond, the time has another
-unit.
-"""
+"""Median sample periods, s, of a drive's log; beyond, the time has another unit."""
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 USUAL_PERIODS_S = (4e-5, 0.5)
 """Least and greatest sample period that a unit must give to be named."""
@@ -61,12 +59,7 @@ class Timing:
 
 
 def examine_time(time: Array) -> Timing:
-    """Check time stamps and find rows to drop and places to split.
-
-    Raises:
-        UnusableError: Samples are too few, a time stamp is NaN, the time runs backwards, or
-            too many time stamps are repeated.
-    """
+    """Check time stamps and find rows to drop and places to split."""
     if len(time) < MIN_SAMPLES:
         raise UnusableError(f"only {len(time)} samples; at least {MIN_SAMPLES} are needed")
     bad = np.flatnonzero(~np.isfinite(time))
@@ -131,11 +124,12 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
             f"({dropped} samples)"
         )
     if not long:
+        doubt = other_unit(median)
         raise UnusableError(
             f"{gaps.size} gaps leave no span of {MIN_SAMPLES} samples (median period "
             f"{median:.4g} s, a gap is longer than {GAP_PERIODS:g} median periods); record with an "
             "even rate, or write the log again with its gaps filled at even times and map that file"
-            f"{_and(other_unit(median))}",
+            + (f"; {doubt}" if doubt else ""),
             int(gaps[0]) + 1,
         )
     return long, notes
@@ -169,10 +163,6 @@ def other_unit(period: float) -> str:
     return f"median period {period:.4g} s: " + (" or, ".join(remedies) or "check its scale")
 
 
-def _and(doubt: str) -> str:
-    return f"; {doubt}" if doubt else ""
-
-
 def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> tuple[Array, int]:
     """Interpolate isolated missing samples linearly in time.
 
@@ -185,9 +175,6 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Returns:
         The samples (``values`` itself if no sample was missing), and the number of interpolated
         samples.
-
-    Raises:
-        UnusableError: More than 5 % of the samples, or more than 5 successive samples, are missing.
     """
     finite = np.isfinite(values)
     missing = ~finite if legitimate is None else ~finite & ~legitimate

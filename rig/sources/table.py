@@ -53,10 +53,6 @@ class Table(ABC):
         """Read columns by index, each of shape (n,); empty cells are NaN.
 
         The columns are of one time base.
-
-        Raises:
-            InputError: A value is not a number, the columns are of several time bases, or the file
-                is damaged; the message states file, row and column.
         """
         bases = sorted({self.bases[k] for k in columns}) if self.bases else []
         if len(bases) > 1:
@@ -155,9 +151,6 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
 
     Integers beyond 2^53 are read as differences to the first integer; dates and times are read as
     seconds since the first date or time; missing dates and times are NaN.
-
-    Raises:
-        NotNumbersError: The values are text, complex, objects or an array for each row.
     """
     kind = values.dtype.kind
     if values.ndim != 1:

@@ -29,9 +29,7 @@ class Asker(Protocol):
     """Puts questions to the operator."""
 
     def ask(self, words: str) -> str:
-        """Show a question and return the stripped answer; InputEndedError, or a stop of the
-        operator.
-        """
+        """Show a question; return the stripped answer; InputEndedError, or a stop."""
         ...
 
 

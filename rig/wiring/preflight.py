@@ -119,15 +119,6 @@ _WORDS: dict[Role, str] = {
 _Profile = Cia402Servo | Cia406Encoder | Cia404Transmitter
 
 
-def device_file_findings(document: Document[Bench]) -> list[Finding]:
-    """Return the faults in node identifiers, CAN identifiers and EDS files of a bench.
-
-    A fault of this kind prevents a connection to the bench. DBC files are checked with the bench
-    file.
-    """
-    return list(_conflicts(document)) or list(_declared(document))
-
-
 def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
     if isinstance(bench.servo, ServoSection):
         yield "servo", bench.servo.node
@@ -223,7 +214,7 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
     bench = document.value
     if bench.bus is None:
         return [Finding(Cause.BUS, document.problem(("bus",), NO_BUS), connectable=False)]
-    found = device_file_findings(document) + implausible(document)
+    found = (list(_conflicts(document)) or list(_declared(document))) + implausible(document)
     if bench.simulated and bench.mock is not None and (text := unstable_current_loop(bench.mock)):
         place = ("mock", "loops", "current_gain_V_A")
         found.append(Finding(Cause.SIMULATION, document.problem(place, text)))

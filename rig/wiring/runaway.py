@@ -168,9 +168,7 @@ class Runaway:
             )
 
     def grows(self) -> bool:
-        """Return whether the joint is faster in the last sample than at the order, by more than a
-        load accelerates it.
-        """
+        """Return whether the joint is now faster than a load explains since the order."""
         if self._limits is None:
             # The first two samples after the order show the speed at the order.
             self.order(self._step_s)

@@ -6,6 +6,15 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from identification.model.gas_generator import (
+    NOTHING,
+    GasGenerator,
+    constants,
+    equilibrium_pressure,
+    march,
+    throat_derivatives,
+)
+from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Bench, Pendulum, Recording
 
 TRUTH: Mapping[str, float] = {
@@ -84,3 +93,26 @@ def sine(
         pendulum=pendulum,
         role=role,  # type: ignore[arg-type]
     )
+
+
+def dense(matrix: BlockArrow) -> Array:
+    """Return the dense matrix, shape (r, p + m)."""
+    rows, p = matrix.parameters.shape
+    out = np.zeros((rows, p + matrix.blocks))
+    out[:, :p] = matrix.parameters
+    out[np.arange(rows), p + matrix.owners] = matrix.own
+    return out
+
+
+def pressure_history(
+    time: Array,
+    angle: Array,
+    g: GasGenerator,
+    exact: bool = True,
+) -> tuple[Array, Array, Array]:
+    """Return pressure (Pa), web burnt (m) and the pressure's rate under a moving valve."""
+    areas = throat_derivatives(angle, g.valve)
+    start = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
+    out = np.empty((3, len(time)))
+    march(time, areas, constants(g, {}, start, g.V_0, exact=exact), NOTHING, out)
+    return out[0], out[1], out[2]

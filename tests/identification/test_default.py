@@ -236,7 +236,7 @@ def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Rec
 def test_pieces_give_what_the_whole_gives(
     practical_pair: tuple[Recording, Recording], practical_result: Identification
 ) -> None:
-    whole, parts = practical_result, default.identify_long(Dataset(practical_pair))
+    whole, parts = practical_result, identify(Dataset(practical_pair), in_pieces=True)
     assert parts.warnings == ()
     assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
     for name, p in whole.parameters.items():
@@ -256,7 +256,8 @@ def test_pieces_give_what_the_whole_gives(
 
 @pytest.mark.usefixtures("short_pieces")
 def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
-    parts = default.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
+    dataset = Dataset((sine(duration=20.0),))
+    parts = identify(dataset, bandwidth_Hz=500.0, in_pieces=True)
     assert "a quantised encoder" in parts.warnings[0]
     assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
 
@@ -264,16 +265,15 @@ def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
 def test_the_path_follows_the_length(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    taken: list[str] = []
-    monkeypatch.setattr(default, "identify", lambda *_a, **_k: taken.append("memory"))
-    monkeypatch.setattr(default, "identify_long", lambda *_a, **_k: taken.append("pieces"))
+    taken: list[bool] = []
+    monkeypatch.setattr(default, "identify", lambda _, in_pieces: taken.append(in_pieces))
     dataset = Dataset(practical_pair[:1])
     default.identify_any_length(dataset)
     monkeypatch.setattr(default, "LONG_SAMPLES", 1000)
     default.identify_any_length(dataset)
     aside = Dataset((replace(practical_pair[0], role="validate"),))
     default.identify_any_length(aside)
-    assert taken == ["memory", "pieces", "memory"]
+    assert taken == [False, True, False]
 
 
 STEP = 1e-4

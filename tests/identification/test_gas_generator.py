@@ -14,10 +14,11 @@ from identification.model.gas_generator import (
     GasGenerator,
     ValveGeometry,
     equilibrium_pressure,
-    pressure_history,
     throat_area,
     throat_derivatives,
 )
+
+from .synthetic import pressure_history
 
 PAPER = GasGenerator()
 TIME = np.arange(0.0, 6.0, 0.005)
@@ -52,7 +53,7 @@ def test_at_equilibrium_the_balance_of_eq_7_closes(seed: int) -> None:
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> None:
     g = PAPER
-    burn = pressure_history(TIME, SWEEP, g, exact=exact)
+    pressure, web, _ = pressure_history(TIME, SWEEP, g, exact=exact)
     throat = throat_area(SWEEP)
 
     def slope(t: float, y: np.ndarray) -> list[float]:
@@ -67,15 +68,15 @@ def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> Non
     found = solve_ivp(
         slope,
         (0.0, 2.0),
-        [burn.pressure[0], g.V_0],
+        [pressure[0], g.V_0],
         "LSODA",
         TIME[TIME <= 2.0],
         rtol=1e-10,
         atol=1e-9,
         max_step=0.005,
     )
-    assert burn.pressure[: found.y.shape[1]] == pytest.approx(found.y[0], rel=1e-6)
-    assert g.V_0 + g.A_b * burn.web[: found.y.shape[1]] == pytest.approx(found.y[1], rel=1e-7)
+    assert pressure[: found.y.shape[1]] == pytest.approx(found.y[0], rel=1e-6)
+    assert g.V_0 + g.A_b * web[: found.y.shape[1]] == pytest.approx(found.y[1], rel=1e-7)
 
 
 def test_a_layer_makes_both_diameters_smaller() -> None:

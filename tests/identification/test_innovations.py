@@ -13,7 +13,7 @@ from identification.filter.likelihood import Point, likeliest_noise
 from identification.filter.segments import Motion, Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.recording import Model, Recording
-from tests.identification.synthetic import TRUTH
+from tests.identification.synthetic import TRUTH, dense
 
 from .practical import simulated
 
@@ -198,7 +198,7 @@ def test_sensitivities_are_the_slopes_of_the_predictions(
     point = Point.of([short], pack({**TRUTH, "offset": 0.02}, alpha), free, Model(), noise)
     x = point.origin()
     errors, deviations = point.predictions(x)
-    slopes, widening = (found.dense() for found in point.derivatives(x, errors, deviations))
+    slopes, widening = (dense(found) for found in point.derivatives(x, errors, deviations))
     for k in range(len(x)):
         step = 1e-6 * max(abs(x[k]), 0.05) if k < len(names) else 1e-4
         up, down = x.copy(), x.copy()

@@ -22,6 +22,8 @@ from identification.numerics.least_squares import (
 )
 from identification.recording import Array
 
+from .synthetic import dense
+
 SAMPLES = 400
 T = np.linspace(0.0, 3.0, 60)
 
@@ -173,14 +175,14 @@ def test_products_are_those_of_the_dense_matrix(
     )
     weight, vector = rng.uniform(size=rows), rng.normal(size=rows)
     direction = rng.normal(size=(parameters + stretches, 2))
-    dense, there = one.dense(), other.dense()
-    assert one.product() == pytest.approx(dense.T @ dense)
-    assert one.product(weight, other) == pytest.approx(dense.T @ (weight[:, None] * there))
-    assert one.back(vector) == pytest.approx(dense.T @ vector)
-    assert one.along(direction) == pytest.approx(dense @ direction)
-    assert one.along(direction[:, 0]) == pytest.approx(dense @ direction[:, 0])
-    assert one.mixed(weight, other).dense() == pytest.approx(
-        weight[:, None] * dense + (1.0 - weight)[:, None] * there
+    here, there = dense(one), dense(other)
+    assert one.product() == pytest.approx(here.T @ here)
+    assert one.product(weight, other) == pytest.approx(here.T @ (weight[:, None] * there))
+    assert one.back(vector) == pytest.approx(here.T @ vector)
+    assert one.along(direction) == pytest.approx(here @ direction)
+    assert one.along(direction[:, 0]) == pytest.approx(here @ direction[:, 0])
+    assert dense(one.mixed(weight, other)) == pytest.approx(
+        weight[:, None] * here + (1.0 - weight)[:, None] * there
     )
 
 

@@ -168,13 +168,6 @@ def test_the_corrected_model_lies_beside_the_report(
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_former_options_are_accepted(campaign: Path, tmp_path: Path, found: Arrange) -> None:
-    found(PLAIN)
-    for option in ("--refine", "--no-refine"):
-        assert status(["diagnose", str(campaign), option, "--out", str(tmp_path / "out")]) == 0
-
-
 def test_a_joint_that_never_moves_on_is_bad_input(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -203,11 +203,7 @@ def _column_of(answer: str, names: Sequence[str]) -> str | int | None:
 
 
 def read_names(paths: Sequence[Path]) -> list[DataFile]:
-    """Return the column names of files.
-
-    Raises:
-        InputError: Files are missing, damaged or of unknown format; the message lists all of them.
-    """
+    """Return the column names of files."""
     found, problems = [], []
     for path in paths:
         if not path.is_file():
@@ -231,11 +227,8 @@ def campaign_text(
 ) -> str:
     """Return the text of a campaign file without its first line.
 
-    Args:
-        path: Future path of the campaign file; recordings are named relative to its folder.
-        files: The recordings.
-        answers: The user's answers to the questions about the recordings.
-        read: Options to read text files; empty for files that are read without options.
+    ``path``: future path of the campaign file; recordings are named relative to its folder.
+    ``read``: options to read text files; empty for files that are read without options.
     """
     recordings = [
         {

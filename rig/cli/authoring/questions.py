@@ -94,10 +94,6 @@ class Question:
         """The question with the unit of the answer."""
         return f"{self.words}, {self.unit}" if self.unit else self.words
 
-    def default_for(self, answers: Mapping[str, Any]) -> Any:
-        """Return the default after the earlier answers, or None if the question has no default."""
-        return self.default(answers) if callable(self.default) else self.default
-
 
 def shown(value: Any) -> str:
     """Return an answer in the form in which a user types it."""
@@ -133,17 +129,10 @@ def ask_all(
 ) -> Answers:
     """Return the answer to every question that applies.
 
-    Args:
-        questions: The questions in order.
-        given: Answers given as options, by name, or None for options not given.
-        asker: Asks the user the other questions; None to use the defaults.
-        tell: Shows what is wrong with an answer. With an ``asker``, a refused option is reported
-            and asked for again, so that no typed answer is lost.
-        before: Answers of an earlier round, used as defaults.
-
-    Raises:
-        InputError: A question without default is not answered, or an option is refused or does not
-            apply, in which case the message lists all; or the input ended.
+    ``given``: answers given as options, by name, or None for options not given. ``asker``: asks the
+    user the other questions; None to use the defaults. ``tell``: shows what is wrong with an
+    answer. With an ``asker``, a refused option is reported and asked for again, so that no typed
+    answer is lost. ``before``: answers of an earlier round, used as defaults.
     """
     answers: Answers = {}
     problems: list[str] = []
@@ -154,7 +143,8 @@ def ask_all(
             if value is not None:
                 refuse(f"{question.option}: does not apply to the other choices; leave it out")
             continue
-        default = before.get(question.name, question.default_for(answers))
+        default = question.default
+        default = before.get(question.name, default(answers) if callable(default) else default)
         reason = None if value is None else question.refusal(value)
         if reason is not None:
             refuse(f"{question.option}: {reason}")

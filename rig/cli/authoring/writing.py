@@ -12,7 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from rig.cli.authoring.schema import json_schema
 from rig.common.errors import InputError
-from rig.common.places import replacing, require_file, require_folder, write_text
+from rig.common.places import replacing, require_file, require_folder, usable, write_text
 from rig.common.yaml_tree import scalar
 
 FOLDER: Final = "schemas"
@@ -20,39 +20,24 @@ FOLDER: Final = "schemas"
 _OWN: Final = '"$id": "urn:loadrig:'
 
 
-def _first_line(kind: str) -> str:
-    """Return the comment that names a file's schema, relative to the file."""
-    return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
-
-
 def write_schema(kind: str, folder: Path) -> Path:
-    """Write a schema into a folder; an earlier schema of this program is replaced. Return the path.
-
-    Raises:
-        InputError: The schema cannot be written, or another file of that name is there.
-    """
+    """Write a schema into a folder, over an earlier one of this program; return the path."""
     path = folder / f"{kind}.schema.json"
     _require_schema_place(path)
-    try:
+    with usable(path, "written", "choose another folder"):
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(json_schema(kind), indent=1) + "\n")
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; choose another folder"
-        ) from error
     return path
 
 
 def _require_schema_place(path: Path) -> None:
     """Check that a schema can be written here."""
     require_folder(path.parent, "--out")
-    try:
+    with usable(path, "read", "move the file away"):
         if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
             raise InputError(
                 f"{path}: exists already and is no schema of this program; move the file away"
             )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; move the file away") from error
 
 
 def fill(kind: str, values: Mapping[str, Any]) -> str:
@@ -88,11 +73,7 @@ class RefusedError(InputError):
 
 
 def require_new(path: Path, kind: str) -> None:
-    """Check, before any question, that a file and its schema can be written.
-
-    Raises:
-        InputError: The file exists already, its folder does not exist, or it cannot be written.
-    """
+    """Check, before any question, that a file and its schema can be written."""
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(
             f"{path}: the name must end in .yaml, because the commands that read the file expect "
@@ -108,33 +89,21 @@ def require_new(path: Path, kind: str) -> None:
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
-    """Write a file that was made from answers, and its schema.
-
-    Returns:
-        Description of the written files.
-
-    Raises:
-        RefusedError: The answers give no valid file.
-        InputError: A file cannot be written.
-    """
+    """Write a file that was made from answers, and its schema; return their paths."""
     require_new(path, kind)
-    try:
-        with replacing(path) as draft:
-            draft.write_text(f"{_first_line(kind)}\n{body}", encoding="utf-8")
-            try:
-                load(draft)
-            except InputError as error:
-                raise RefusedError(_without_place(error.problems, draft)) from error
-            schema = write_schema(kind, path.parent / FOLDER)
-            if path.exists():
-                raise InputError(
-                    f"{path}: another program has created this file meanwhile; the file is not "
-                    "overwritten"
-                )
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written: {error.strerror}; choose another place"
-        ) from error
+    with usable(path, "written", "choose another place"), replacing(path) as draft:
+        schema_line = f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
+        draft.write_text(f"{schema_line}\n{body}", encoding="utf-8")
+        try:
+            load(draft)
+        except InputError as error:
+            raise RefusedError(_without_place(error.problems, draft)) from error
+        schema = write_schema(kind, path.parent / FOLDER)
+        if path.exists():
+            raise InputError(
+                f"{path}: another program has created this file meanwhile; the file is not "
+                "overwritten"
+            )
     return [path, schema]
 
 

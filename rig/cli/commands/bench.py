@@ -216,7 +216,8 @@ def jog(
                 screen.say(words)
                 agreed = _agreed(prompt, stop, screen, document.value.simulated)
                 if not agreed:
-                    outcome = _unmoved(devices, document.value)
+                    safe = observed(devices.off_proof(bench_limits(document.value)).prove())
+                    outcome = Outcome(Ending.STOPPED, "not confirmed; nothing was moved", safe)
                     break
             outcome = _move(document.value, planned, devices, stop, screen, reset_fault)
             if outcome.ending is not Ending.DONE:
@@ -260,12 +261,6 @@ def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -
     except OperatorStopError as error:
         raise KeyboardInterrupt from error
     return answer.lower() in ("y", "yes")
-
-
-def _unmoved(devices: Devices, bench: Bench) -> Outcome:
-    """Return the outcome of a jog that was not confirmed; nothing was commanded."""
-    safe = observed(devices.off_proof(bench_limits(bench)).prove())
-    return Outcome(Ending.STOPPED, "not confirmed; nothing was moved", safe)
 
 
 def _move(

@@ -29,7 +29,7 @@ from rig.commissioning.setup import (
     TypedInterview,
 )
 from rig.common.errors import InputError
-from rig.common.places import require_file, require_folder, write_asked, write_text
+from rig.common.places import require_file, require_folder, usable, write_asked, write_text
 from rig.common.provenance import sha256, utc_now, versions
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document, packaged
@@ -316,13 +316,8 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
     # A unified diff that ``patch`` accepts.
     patch = "".join(difflib.unified_diff(old, new, fromfile=name, tofile=name))
     write_texts({PATCH_FILE: patch}, folder)
-    try:
+    with usable(new_file, "written", f"{folder / PATCH_FILE} contains the corrections"):
         write_text(new_file, result.text)
-    except OSError as error:
-        raise InputError(
-            f"{new_file}: cannot be written: {error.strerror}; {folder / PATCH_FILE} contains "
-            "the corrections"
-        ) from error
     return str(new_file)
 
 

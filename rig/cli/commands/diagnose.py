@@ -13,12 +13,6 @@ from rig.cli import options as shared
 @click.argument("source", type=click.Path(path_type=Path))
 @shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
 @click.option(
-    "--refine/--no-refine",
-    default=None,
-    hidden=True,
-    help="Has no effect: the program decides by the number of samples whether to refine.",
-)
-@click.option(
     "--gas",
     is_flag=True,
     help="Diagnose the gas generator, from pressure and valve angle; needed only if the "
@@ -40,7 +34,6 @@ from rig.cli import options as shared
 def diagnose(
     source: Path,
     bandwidth: float | None,
-    refine: bool | None,
     gas: bool,
     observable: bool,
     partial: bool,
@@ -65,14 +58,18 @@ def diagnose(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
-    if refine is not None:
-        click.echo(
-            "note: --refine and --no-refine have no effect; leave these options out", err=True
-        )
     if observable:
         if gas:
             raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
-        return _print_observable(source, seed, bandwidth, json_file)
+        from rig.common.places import write_json
+        from rig.results.diagnose.document import observable_document, observe_source
+        from rig.results.document import text
+
+        seen = observe_source(source, seed, bandwidth)
+        if json_file is not None:
+            write_json(json_file, seen.record())
+        click.echo(text(observable_document(source, seen)))
+        return
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import is_folder, require_folder, source_name
     from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
@@ -101,20 +98,6 @@ def diagnose(
     for file in beside.files:
         click.echo(f"{folder / file.name}: {file.use}")
     click.echo(f"report: {folder / PAGE_FILE}")
-
-
-def _print_observable(
-    source: Path, seed: int, bandwidth: float | None, json_file: Path | None
-) -> None:
-    """Print which effects a source can show, and write the record if requested."""
-    from rig.common.places import write_json
-    from rig.results.diagnose.document import observable_document, observe_source
-    from rig.results.document import text
-
-    seen = observe_source(source, seed, bandwidth)
-    if json_file is not None:
-        write_json(json_file, seen.record())
-    click.echo(text(observable_document(source, seen)))
 
 
 @click.command("effects")

@@ -13,7 +13,7 @@ from rig.cli.aftermath import seal_folder, write_page
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.common.locks import hold_folder
-from rig.common.places import is_file, replacing, require_file, source_name, write_asked
+from rig.common.places import is_file, replacing, require_file, source_name, usable, write_asked
 from rig.common.tables import table
 from rig.results.document import reading_notes
 from rig.results.run.go_on import go_on_words
@@ -67,10 +67,8 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     wanted = files(dataset, path, kind)
     _require_free([*wanted, *(sidecar(place) for place in wanted if kind == "csv")])
     for place, part in wanted.items():
-        try:
+        with usable(place, "written"):
             export_one(part, place, kind, run)
-        except OSError as error:
-            raise InputError(f"{place}: cannot be written: {error.strerror}") from error
         count = sum(len(recording.time) for recording in part.recordings)
         names = ", ".join(recording.name for recording in part.recordings)
         click.echo(f"{place}: {count} samples of {names}")
@@ -84,11 +82,8 @@ def _traffic(source: Path, path: Path, kind: str) -> int:
         raise InputError(f"{source}: raw frames are in run folders only; name a run folder")
     record = read_record(source)
     _require_free([path])
-    try:
-        with replacing(path) as draft:
-            count = export_traffic(source, record, draft, kind)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with usable(path, "written"), replacing(path) as draft:
+        count = export_traffic(source, record, draft, kind)
     click.echo(f"{path}: {count.frames} CAN frames of {', '.join(count.parts)}")
     if count.serial:
         click.echo(f"{count.serial} records of serial lines left out, which are not CAN frames")
@@ -122,10 +117,8 @@ def recover(run: Path, json_file: Path | None) -> int:
       rig recover runs/20261120T101500Z-figure10
     """
     until_the_end(hold_folder(run, "rig recover"))
-    try:
+    with usable(run, "written"):
         recovery = mend(run)
-    except OSError as error:
-        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
     if not recovery.damage:
         click.echo(f"recording complete: {recovery.samples} samples")
     for problem in recovery.damage:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from rig.common.provenance import heading
 from rig.common.tables import picture, table
 
 if TYPE_CHECKING:
-    from rig.sources.look import Clock, Column, Look
+    from rig.sources.look import Column, Look
 
 LOOK_SCHEMA = "loadrig.look/1"
 NEEDED = {
@@ -196,11 +197,11 @@ def _clock_words(look: Look) -> str:
         )
     name = look.columns[clock.column].name or clock.column
     words = [f"time is {name}"]
-    if clock.period > 0:
-        words.append(f"{1.0 / clock.period:.6g} Hz (median period {clock.period:.4g} s)")
-    if clock.high - clock.low > 0.05 * abs(clock.period):
-        words.append(f"uneven: 90 % of the steps from {clock.low:.4g} to {clock.high:.4g} s")
-    words.append(f"{clock.gaps} gaps, the longest step {clock.longest:.4g} s")
+    if clock.period_s > 0:
+        words.append(f"{1.0 / clock.period_s:.6g} Hz (median period {clock.period_s:.4g} s)")
+    if clock.high_s - clock.low_s > 0.05 * abs(clock.period_s):
+        words.append(f"uneven: 90 % of the steps from {clock.low_s:.4g} to {clock.high_s:.4g} s")
+    words.append(f"{clock.gaps} gaps, the longest step {clock.longest_s:.4g} s")
     words += [f"{clock.backwards} steps backwards"] if clock.backwards else []
     words += [f"{clock.repeated} repeated"] if clock.repeated else []
     return ", ".join(words)
@@ -210,7 +211,7 @@ def _row(column: Column) -> tuple[str, ...]:
     notes = [column.problem] if column.problem else []
     if column.missing:
         notes.append(f"{column.missing} missing")
-    if column.samples and column.low == column.high:
+    if column.samples and column.least == column.greatest:
         notes.append("constant")
     if column.step:
         notes.append(f"steps of {column.step:.4g}")
@@ -219,58 +220,18 @@ def _row(column: Column) -> tuple[str, ...]:
     if column.wrap:
         notes.append(column.wrap)
     may = column.channel + (f" x {column.scale:.6g}" if column.scale != 1.0 else "")
-    low, high = ("" if math.isnan(value) else f"{value:.6g}" for value in (column.low, column.high))
+    low, high = (
+        "" if math.isnan(value) else f"{value:.6g}" for value in (column.least, column.greatest)
+    )
     name = column.name or str(column.index)
-    return (name, column.unit, may, low, high, picture(column.strip), "; ".join(notes))
+    return (name, column.unit, may, low, high, picture(column.course), "; ".join(notes))
 
 
 def look_record(looks: Sequence[Look]) -> dict[str, Any]:
     """Return the record of ``rig look --json``."""
-    return {
-        **heading(LOOK_SCHEMA),
-        "logs": [_log_record(look) for look in looks],
-    }
-
-
-def _log_record(look: Look) -> dict[str, Any]:
-    return {
-        "name": look.name,
-        "format": look.format,
-        "notes": list(look.notes),
-        "doubts": list(look.doubts),
-        "clock": None if look.clock is None else _clock_record(look.clock),
-        "columns": [_column_record(column) for column in look.columns],
-    }
-
-
-def _clock_record(clock: Clock) -> dict[str, Any]:
-    return {
-        "column": clock.column,
-        "scale": clock.scale,
-        "period_s": clock.period,
-        "low_s": clock.low,
-        "high_s": clock.high,
-        "gaps": clock.gaps,
-        "longest_s": clock.longest,
-        "backwards": clock.backwards,
-        "repeated": clock.repeated,
-    }
-
-
-def _column_record(column: Column) -> dict[str, Any]:
-    return {
-        "name": column.name,
-        "index": column.index,
-        "channel": column.channel,
-        "unit": column.unit,
-        "scale": column.scale,
-        "samples": column.samples,
-        "missing": column.missing,
-        "least": column.low,
-        "greatest": column.high,
-        "step": column.step,
-        "flicker": column.flicker,
-        "wrap": column.wrap,
-        "problem": column.problem,
-        "course": list(column.strip),
-    }
+    logs = [asdict(look) for look in looks]
+    for log in logs:
+        del log["guesses"]
+        for column in log["columns"]:
+            del column["turn"]
+    return {**heading(LOOK_SCHEMA), "logs": logs}

@@ -160,7 +160,12 @@ def prove(
     from rig.common.places import require_folder
     from rig.results.prove.engine import engine
 
-    _require_one_task(home, source, gas)
+    if home is not None and source is not None:
+        raise InputError(
+            "--seal writes trials and --from reads trials; give only one of these options"
+        )
+    if gas and (home is not None or source is not None):
+        raise InputError("--gas cannot be combined with --seal or --from; leave --gas out")
     require_folder(out, "--out")
     started = time.perf_counter()
     try:
@@ -198,16 +203,6 @@ def _show(
     write_page(document, out / PAGE_FILE)
     click.echo(text(document))
     click.echo(f"report: {out / PAGE_FILE}")
-
-
-def _require_one_task(home: Path | None, source: Path | None, gas: bool) -> None:
-    """Check that options do not contradict each other."""
-    if home is not None and source is not None:
-        raise InputError(
-            "--seal writes trials and --from reads trials; give only one of these options"
-        )
-    if gas and (home is not None or source is not None):
-        raise InputError("--gas cannot be combined with --seal or --from; leave --gas out")
 
 
 def _prove(

@@ -13,9 +13,8 @@ from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
 from rig.cli.aftermath import conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
-from rig.common.errors import InputError
 from rig.common.locks import OWNER_FILE, hold_folder
-from rig.common.places import require_folder, write_asked
+from rig.common.places import require_folder, usable, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
@@ -227,10 +226,8 @@ def resume(
     """
     given = given_acceptance(acceptance)
     until_the_end(hold_folder(run, "rig resume"))
-    try:
+    with usable(run, "written"):
         resumed = prepare(run)
-    except OSError as error:
-        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
     for problem in resumed.mended:
         click.echo(problem)
     click.echo(stopped_words(resumed.record))

@@ -13,6 +13,7 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
+from rig.common.places import require_folder, usable, write_asked
 from rig.runs.catalogue.entry import VERDICTS
 
 if TYPE_CHECKING:
@@ -283,7 +284,6 @@ def accept(
     """
     from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
-    from rig.common.places import write_asked
     from rig.wiring.devices import until_the_end
 
     _one(run)
@@ -295,10 +295,8 @@ def accept(
 
 
 def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
-    try:
+    with usable(folder, "searched"):
         return list(find(folder))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be searched: {error.strerror}") from error
 
 
 def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[Entry]]:
@@ -330,7 +328,6 @@ def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> Non
     """Write the result file if requested."""
     if json_file is None:
         return
-    from rig.common.places import write_asked
 
     write_asked(json_file, made())
 
@@ -342,7 +339,6 @@ def _show(document: Document, out: Path | None) -> None:
     click.echo(text(document))
     if out is None:
         return
-    from rig.common.places import require_folder
     from rig.results.document import PAGE_FILE, write_page
 
     require_folder(out, "--out")

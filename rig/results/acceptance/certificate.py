@@ -20,8 +20,7 @@ from matplotlib.figure import Figure as Sheet
 
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
-from rig.common.errors import InputError
-from rig.common.places import replacing
+from rig.common.places import replacing, usable
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
 from rig.common.provenance import heading, plain, sha256_file
 from rig.common.tables import interval, number, table
@@ -369,7 +368,15 @@ def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
     stamp = record.created.partition("+")[0]
     suite = ET.SubElement(root, "testsuite", {"name": name, **counts, "timestamp": stamp})
     properties = ET.SubElement(suite, "properties")
-    for key, value in _properties(record, bench).items():
+    for key, value in {
+        "bench": bench,
+        "simulated": str(record.simulated).lower(),
+        "operator": record.operator or "",
+        "begun": record.created,
+        "state": record.state,
+        **{f"mass of {s.name}, kg": f"{s.mass_kg:g}" for s in record.stages},
+        **{f"sha256 of {name}": entry["sha256"] for name, entry in record.inputs.items()},
+    }.items():
         ET.SubElement(properties, "property", {"name": key, "value": _xml(value)})
     for check in checks:
         told = {"name": _xml(check.limit), "classname": name, "time": "0.000"}
@@ -389,18 +396,6 @@ def _xml(text: str) -> str:
     return _NOT_XML.sub("?", valid(text))
 
 
-def _properties(record: RunRecord, bench: str) -> dict[str, str]:
-    return {
-        "bench": bench,
-        "simulated": str(record.simulated).lower(),
-        "operator": record.operator or "",
-        "begun": record.created,
-        "state": record.state,
-        **{f"mass of {s.name}, kg": f"{s.mass_kg:g}" for s in record.stages},
-        **{f"sha256 of {name}": entry["sha256"] for name, entry in record.inputs.items()},
-    }
-
-
 @dataclass(frozen=True)
 class Acceptance:
     """Result of an acceptance."""
@@ -417,11 +412,7 @@ class Acceptance:
 
 
 def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:
-    """Judge a run, and write result file, certificate and seal into its folder.
-
-    Raises:
-        InputError: The folder is not a run folder, or cannot be written.
-    """
+    """Judge a run, and write result file, certificate and seal into its folder."""
     evidence = gather(folder, limits, progress)
     progress("writing the certificate", 1.0)
     checks = judge(limits, evidence)
@@ -438,24 +429,15 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
     seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])
-    try:
+    with usable(folder / REPORT_FILE, "written"):
         write_verdict(folder, record)
-    except OSError as error:
-        raise InputError(f"{folder / REPORT_FILE}: cannot be written: {error.strerror}") from error
     return Acceptance(checks, result, junit(record, bench, checks), folder)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step.
-
-    Raises:
-        InputError: The file cannot be written; an earlier version is kept.
-    """
-    try:
-        with replacing(path) as draft:
-            draft.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    """Write a file in one step."""
+    with usable(path, "written"), replacing(path) as draft:
+        draft.write_bytes(content)
 
 
 def acceptance_document(found: Acceptance) -> Document:

@@ -42,7 +42,6 @@ class Evidence:
     """Values of a run that the acceptance limits apply to.
 
     Attributes:
-        record: ``run.json``.
         digests: SHA-256 of the recordings of the run, by file.
         dataset: Finished excitations of the run, or None if no excitation was finished.
         constants: Identified constants; empty if no limit needs an identification.
@@ -70,9 +69,6 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     An identification or diagnosis in the run folder is used if it was made from the present
     recordings; else the run is identified and diagnosed as by ``rig identify`` and ``rig
     diagnose``, and the results are written into the folder.
-
-    Raises:
-        InputError: The folder is not a run folder, or results cannot be written.
     """
     record = read_record(folder)
     digests = {
@@ -185,7 +181,6 @@ class Check:
         value: Found value, in ``unit``, or None if it is unknown or not a number.
         low: Lower end of the 90 % interval of the value; None without an interval.
         high: Upper end of the interval.
-        unit: Unit of ``value``, ``low`` and ``high``.
     """
 
     limit: str
@@ -234,7 +229,10 @@ def _judged(limit: Limit, evidence: Evidence) -> Check:
         case Bound():
             return _bound(limit, evidence)
         case Required() if limit.text == NOTHING_MISSING:
-            return _diagnosis(limit, evidence)
+            if not evidence.diagnosis:
+                return _unknown(limit, evidence, "the run was not diagnosed")
+            words = f"the diagnosis found: {evidence.diagnosis.replace('_', ' ')}"
+            return Check(limit.text, evidence.diagnosis == "nothing_missing", words)
         case Required():
             return _weight(limit, evidence)
 
@@ -285,13 +283,6 @@ def _bound(limit: Bound, evidence: Evidence) -> Check:
         limit.measure, evidence.record
     )
     return Check(limit.text, limit.holds(shown), words, shown, unit=limit.unit)
-
-
-def _diagnosis(limit: Limit, evidence: Evidence) -> Check:
-    if not evidence.diagnosis:
-        return _unknown(limit, evidence, "the run was not diagnosed")
-    words = f"the diagnosis found: {evidence.diagnosis.replace('_', ' ')}"
-    return Check(limit.text, evidence.diagnosis == "nothing_missing", words)
 
 
 def _weight(limit: Limit, evidence: Evidence) -> Check:

@@ -77,9 +77,6 @@ class RunFigures:
 def figures_of(folder: Path) -> RunFigures:
     """Return the measured values of a run. Values of excitations are None if no excitation was
     finished.
-
-    Raises:
-        InputError: The folder is not a run folder.
     """
     record = read_record(folder)
     dataset, problem = None, ""
@@ -170,11 +167,7 @@ class Difference:
 
 
 def require_comparable(runs: Sequence[Compared]) -> None:
-    """Check that every run can be read, and that all benches have the same kind of motion.
-
-    Raises:
-        InputError: A run cannot be read, or the kinds of motion differ.
-    """
+    """Check that every run can be read, and that all benches have the same kind of motion."""
     bad = [f"{each.run}: {each.entry.head.problem}" for each in runs if each.entry.head.problem]
     if bad:
         raise InputError(bad)

@@ -60,10 +60,6 @@ class NominalValues:
 def nominal_values(path: Path | None) -> NominalValues:
     """Return the values of a result of `rig identify --json`; a parameter that the result does not
     determine gets the default nominal value.
-
-    Raises:
-        InputError: The file cannot be read, or is not a result of ``rig identify`` on a rotary
-            bench.
     """
     if path is None:
         return NominalValues(
@@ -125,9 +121,7 @@ def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
 NOISE_SHARE = 1e-3
 """Default current noise as a share of the bench's current limit."""
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-"""Masses, kg, to choose from in addition to those of the sequence, if the bench file lists no
-masses.
-"""
+"""Masses, kg, to choose from beside the sequence's, if the bench file lists none."""
 
 
 @dataclass(frozen=True)
@@ -155,19 +149,10 @@ def plan_experiment(
     """Assess a sequence on the nominal model of a bench, and search for a better sequence of the
     same duration.
 
-    Args:
-        sequence: The experiment to assess.
-        bench: Bench whose limits, sensors and stated constants are used; the section of the
-            simulated machine is not used.
-        nominal_file: Result of ``rig identify --json`` on this bench, or None for the default
-            nominal values.
-        current_noise_A: Noise of the logged current, A rms, or None for the value in the nominal
-            file, or a thousandth of the current limit.
-        seed: Seed of the search.
-        progress: Called with the current step and the completed share.
-
-    Raises:
-        InputError: The sequence breaks a limit of the bench, or the nominal file cannot be used.
+    ``bench``: bench whose limits, sensors and stated constants are used; the section of the
+    simulated machine is not used. ``nominal_file``: result of ``rig identify --json`` on this
+    bench, or None for the default nominal values. ``current_noise_A``: noise of the logged current,
+    A rms, or None for the value in the nominal file, or a thousandth of the current limit.
     """
     started = time.perf_counter()
     limits = make_plan(sequence, bench).limits
@@ -179,7 +164,15 @@ def plan_experiment(
     elif noise is None:
         noise = NOISE_SHARE * bench.value.limits.current_A
     nominal = _nominal(bench.value, known, limits, noise)
-    bounds = _bounds(bench.value, sequence.value.stages, limits)
+    bounds = Bounds(
+        angle_min=limits.angle_min,
+        angle_max=limits.angle_max,
+        speed=limits.speed,
+        torque=_torque(bench.value, limits),
+        following=limits.following_error,
+        highest_Hz=min(bench.value.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
+        weights=_weights(bench.value, [s for s in sequence.value.stages if s.stage == "loaded"]),
+    )
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
     found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
     stages = _stages(sequence.value.stages, frames, found.stages)
@@ -225,18 +218,6 @@ def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float)
         Sensors(bench.cycle_s, step, noise_A * limits.torque_per_ampere),
         torque,
         loop=drive_loop(known.recordings, torque, step),
-    )
-
-
-def _bounds(bench: Bench, stages: tuple[StageSection, ...], limits: Limits) -> Bounds:
-    return Bounds(
-        angle_min=limits.angle_min,
-        angle_max=limits.angle_max,
-        speed=limits.speed,
-        torque=_torque(bench, limits),
-        following=limits.following_error,
-        highest_Hz=min(bench.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
-        weights=_weights(bench, [s for s in stages if s.stage == "loaded"]),
     )
 
 

@@ -270,20 +270,6 @@ def _stage_table(results: Sequence[Identification]) -> Table:
     )
 
 
-def _recording_table(recordings: Sequence[Recording]) -> Table:
-    return _columns(
-        recordings,
-        (3, 4, 5),
-        ("recording", lambda r: r.name),
-        ("role", lambda r: r.role),
-        ("stage", lambda r: r.stage),
-        ("weight", lambda r: "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg"),
-        ("samples", lambda r: str(len(r.time))),
-        ("rate", lambda r: f"{number(1.0 / r.period, 4)} Hz"),
-        ("corrections", lambda r: "; ".join(r.notes) or "none"),
-    )
-
-
 def _comparison_table(contenders: Sequence[Contender]) -> Table:
     """Return one row for each estimator; the true error only if it is known."""
 
@@ -771,7 +757,17 @@ def _convergence(
 def _recordings(
     outcome: Outcome, recordings: Mapping[str, Recording]
 ) -> Iterator[Table | Note | Picture]:
-    yield _recording_table(outcome.dataset.recordings)
+    yield _columns(
+        outcome.dataset.recordings,
+        (3, 4, 5),
+        ("recording", lambda r: r.name),
+        ("role", lambda r: r.role),
+        ("stage", lambda r: r.stage),
+        ("weight", lambda r: "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg"),
+        ("samples", lambda r: str(len(r.time))),
+        ("rate", lambda r: f"{number(1.0 / r.period, 4)} Hz"),
+        ("corrections", lambda r: "; ".join(r.notes) or "none"),
+    )
     first = outcome.results[0]
     shown = few_of_each_role(first.traces, lambda trace: trace.role, _SHOWN_PER_ROLE)
     if hidden := len(first.traces) - len(shown):

@@ -62,8 +62,6 @@ class Outcome:
 
     Attributes:
         dataset: The identified dataset.
-        results: One result per method, in the requested order.
-        provenance: Seed, inputs, time.
         ladder: All rungs of the ladder of friction models, if requested.
         simulated: The rungs fitted to the simulated angle, if requested and if the recordings can
             be simulated.
@@ -89,7 +87,6 @@ class Request:
     Attributes:
         methods: Names from :data:`METHODS`; every method starts its random generator from ``seed``.
         bandwidth_Hz: Bandwidth of the fit; None to choose it from the recordings.
-        seed: Seed of the random generator.
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
@@ -111,11 +108,7 @@ class Request:
 def identify_source(
     source: Path, request: Request, progress: Callable[[str, float], None]
 ) -> Outcome:
-    """Identify a run folder or campaign file.
-
-    Raises:
-        InputError: A source cannot be read, or its recordings cannot be identified.
-    """
+    """Identify a run folder or campaign file."""
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source, partial=request.partial)
@@ -205,9 +198,6 @@ def compare_methods(
 ) -> Outcome:
     """Return an outcome with a comparison of all estimators; each stochastic search is run with
     ``COMPARED_SEEDS`` random seeds.
-
-    Raises:
-        InputError: The campaign fixes values or declares terms.
     """
     started = time.perf_counter()
     seed = outcome.provenance.seed

@@ -63,9 +63,6 @@ def predict(
 ) -> list[Prediction]:
     """Predict every recording with every model, and again without effects if the model has
     effects.
-
-    Raises:
-        RecordingError: A recording cannot be filtered to this bandwidth.
     """
     found = []
     for file, model in models:
@@ -83,9 +80,7 @@ def predict(
 
 RESULT_FILE = "simulate.json"
 SHARES = (1.0, 0.5, 0.0)
-"""Factors on the friction of a result; the errors with half of the friction and without friction
-serve as references.
-"""
+"""Factors on the friction of a result, whose errors are references."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +101,6 @@ class Simulation:
     """Result of ``rig simulate``.
 
     Attributes:
-        dataset: The recordings.
         models: Models in the requested order.
         predictions: Equation errors of every model, with its effects and without.
         prepared: The recordings at the bandwidth of the torque errors, in their order.
@@ -114,7 +108,6 @@ class Simulation:
             the controller of a recording is unknown.
         responses: Responses of the first model with full friction, in the order of the recordings.
         bandwidth_Hz: Bandwidth of the torque errors.
-        provenance: Inputs, time.
         short: Texts on recordings that are too short for the bandwidth and left out.
     """
 
@@ -152,15 +145,8 @@ def simulate_source(
     """Predict every recording of a source with the model of each result file, and simulate the
     closed loop if the controller is known.
 
-    Args:
-        source: Campaign file or run folder.
-        results: Result files of ``rig identify`` or ``rig diagnose``.
-        bandwidth_Hz: Bandwidth of the errors, or None for the bandwidth of the first result, or
-            chosen as in the identification.
-        progress: Called with the current step and the completed share.
-
-    Raises:
-        InputError: A file cannot be used, or a recording cannot be simulated.
+    ``bandwidth_Hz``: bandwidth of the errors, or None for the bandwidth of the first result, or
+    chosen as in the identification.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
@@ -290,9 +276,7 @@ def _explanations(found: Simulation) -> Iterator[str]:
 
 
 def _left_out(found: Simulation) -> list[str]:
-    """Return remarks on recordings that are left out, and if the closed loop is not simulated, or
-    is simulated without the effects.
-    """
+    """Return remarks on what is left out or not simulated."""
     if not found.cases:
         return [
             *found.short,

@@ -115,11 +115,7 @@ def _csv(rows: Rows) -> str:
 
 
 def true_machine(name: str) -> Machine:
-    """Return the simulated machine of a packaged bench.
-
-    Raises:
-        ValueError: The bench has no simulated machine.
-    """
+    """Return the simulated machine of a packaged bench."""
     machine = load_bench(name).value.mock
     if machine is None:
         raise ValueError(f"the packaged bench {name!r} has no simulated machine")
@@ -579,7 +575,19 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
             f"against its friction reaches {np.max(np.abs(found.current)):.1f} A.",
         ),
         (Picture.of("fig_11", caption, _loop_figure(found)),),
-        {"fig_11": _loop_data(found)},
+        {
+            "fig_11": _thinned(
+                time_s=found.time,
+                flow_command_kg_s=found.flows[0],
+                flow_kg_s=found.flows[1],
+                pressure_command_Pa=found.pressures[0],
+                pressure_Pa=found.pressures[1],
+                angle_command_rad=found.angles[0],
+                angle_rad=found.angles[1],
+                current_A=found.current,
+                contact_force_N=found.force,
+            )
+        },
     )
 
 
@@ -592,20 +600,6 @@ def _loop_figure(found: Firing) -> regulator.Figure:
         dict(zip(("command", "measured"), found.angles, strict=True)),
         found.current,
         found.force,
-    )
-
-
-def _loop_data(found: Firing) -> Rows:
-    return _thinned(
-        time_s=found.time,
-        flow_command_kg_s=found.flows[0],
-        flow_kg_s=found.flows[1],
-        pressure_command_Pa=found.pressures[0],
-        pressure_Pa=found.pressures[1],
-        angle_command_rad=found.angles[0],
-        angle_rad=found.angles[1],
-        current_A=found.current,
-        contact_force_N=found.force,
     )
 
 
@@ -643,9 +637,7 @@ def _settling(found: Firing) -> str:
 PAPER_DEG_S = 50.0
 """Opening speed in the paper, deg/s."""
 SLOW_DEG_S = 5.0
-"""Speed, deg/s, at which the pressure follows the throat area within 7 % and the joint does not
-stick.
-"""
+"""Speed, deg/s: the pressure follows within 7 %, and the joint does not stick."""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 STEADY = 0.05
@@ -709,11 +701,7 @@ class Sweep:
 
 
 def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
-    """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
-
-    Raises:
-        ValueError: The joint sticks, or is in stick-slip, during the whole motion.
-    """
+    """Open the valve of a burning gas generator from 0 to 30 deg at constant speed."""
     noise, transmitter = np.random.default_rng(seed).spawn(2)
     plant = SimulatedMachine(machine, noise)
     plant.power(True)
@@ -725,7 +713,13 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
     )
     samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
     area = gas_direct.impacted_area(machine, samples.angle)
-    uniform = _uniform(samples.angle, math.radians(speed_deg_s))
+    wanted = math.radians(speed_deg_s)
+    width = round(SMOOTHING_S / CYCLE_S)
+    kernel = np.ones(width) / width
+    speed = np.convolve(np.gradient(samples.angle, CYCLE_S), kernel, mode="same")
+    marks = np.abs(speed - wanted) <= STEADY * wanted
+    marks[:width] = marks[-width:] = False
+    uniform = np.asarray(marks)
     if not uniform.any():
         raise ValueError(
             f"at {speed_deg_s:g} deg/s the joint never moves uniformly; sweep faster, or stiffen "
@@ -748,16 +742,6 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
     )
 
 
-def _uniform(angle: Array, wanted: float) -> NDArray[np.bool_]:
-    """Return a mask of the samples at this speed (rad/s)."""
-    width = round(SMOOTHING_S / CYCLE_S)
-    kernel = np.ones(width) / width
-    speed = np.convolve(np.gradient(angle, CYCLE_S), kernel, mode="same")
-    marks = np.abs(speed - wanted) <= STEADY * wanted
-    marks[:width] = marks[-width:] = False
-    return np.asarray(marks)
-
-
 _ENDS_DEG = np.array([5.0, 29.0])
 
 
@@ -776,11 +760,31 @@ def sweep_exhibit(seed: int) -> Exhibit:
             Picture.of(
                 "fig_4",
                 "Fig. 4: an opening valve, at the speed of the paper and slowly",
-                _sweep_figure(sweeps),
+                regulator.sweep(
+                    [
+                        (
+                            f"{found.speed_deg_s:g} deg/s",
+                            np.rad2deg(found.angle),
+                            np.where(found.uniform, found.current, np.nan),
+                            1e-6 * found.pressure,
+                            1e-6 * found.steady_pressure,
+                            1e6 * found.area,
+                        )
+                        for found in sweeps
+                    ]
+                ),
             ),
         ),
         {
-            name: _sweep_data(found)
+            name: columns(
+                time_s=found.time,
+                angle_rad=found.angle,
+                current_A=found.current,
+                pressure_Pa=found.pressure,
+                steady_pressure_Pa=found.steady_pressure,
+                impacted_area_m2=found.area,
+                uniform=found.uniform.astype(np.float64),
+            )
             for name, found in zip(("fig_4", "fig_4_slow"), sweeps, strict=True)
         },
     )
@@ -795,34 +799,6 @@ def _loop_words(found: Sweep) -> str:
         f"mm^2. Rank correlation of the current with the pressure {found.rank_pressure:.3f}, with "
         f"the area {found.rank_area:.3f}. The pressure stays up to {100.0 * found.lag:.0f} % above "
         "the steady pressure."
-    )
-
-
-def _sweep_figure(sweeps: list[Sweep]) -> regulator.Figure:
-    return regulator.sweep(
-        [
-            (
-                f"{found.speed_deg_s:g} deg/s",
-                np.rad2deg(found.angle),
-                np.where(found.uniform, found.current, np.nan),
-                1e-6 * found.pressure,
-                1e-6 * found.steady_pressure,
-                1e6 * found.area,
-            )
-            for found in sweeps
-        ]
-    )
-
-
-def _sweep_data(found: Sweep) -> Rows:
-    return columns(
-        time_s=found.time,
-        angle_rad=found.angle,
-        current_A=found.current,
-        pressure_Pa=found.pressure,
-        steady_pressure_Pa=found.steady_pressure,
-        impacted_area_m2=found.area,
-        uniform=found.uniform.astype(np.float64),
     )
 
 

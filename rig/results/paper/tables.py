@@ -48,9 +48,7 @@ RATE_HZ = 1000.0
 fitness sqrt(sum e^2) is the sum over all samples of this duration.
 """
 WRONG_BASIN_PERCENT = 20.0
-"""Largest error of a parameter other than J above which a seed counts as converged to a wrong
-basin, %.
-"""
+"""Largest error, %, of a parameter but J in the right basin."""
 
 
 @dataclass(frozen=True)

@@ -179,11 +179,7 @@ def _fingerprint() -> dict[str, str]:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[DaskCluster]:
-    """Start worker processes on this machine, and end them with the context.
-
-    Raises:
-        InputError: The extra ``dask`` is not installed.
-    """
+    """Start worker processes on this machine, and end them with the context."""
     _require()
     with (
         tempfile.TemporaryDirectory(prefix="loadrig-workers-") as scratch,
@@ -208,12 +204,7 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
 
 @contextmanager
 def remote_cluster(address: str) -> Iterator[DaskCluster]:
-    """Connect to a scheduler that the user started; keys for TLS are those of dask's configuration.
-
-    Raises:
-        InputError: The extra ``dask`` is not installed, nothing answers at the address, or the
-            scheduler has no workers.
-    """
+    """Connect to a scheduler that the user started; keys for TLS are in dask's configuration."""
     _require()
     if unprotected(address):
         complain(

@@ -116,9 +116,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "recording": one_of(1.0, 2.0, 4.0, 5.0, 7.0, 10.0),
     },
 }
-"""Functions that draw the parameters of effects of the catalogue, by effect and parameter.
-``wrong_weight.mass_kg`` is the relative error of the label.
-"""
+"""Draws of catalogue effects' parameters; ``wrong_weight.mass_kg`` is a relative error."""
 
 OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_timed_torque": {
@@ -158,9 +156,7 @@ SPREAD = 0.4
 """Greatest relative deviation of the nominal constants from those of the practical bench."""
 NOISE_SPREAD = (0.5, 1.5)
 SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "outside": 40.0}
-"""Number of trials of each kind in a full proof; proofs of other sizes have the same
-proportions.
-"""
+"""Trials of each kind in a full proof; others have the same proportions."""
 
 _NEEDS_GRAVITY = frozenset({"load_dependent_friction", "gear_friction"})
 _NEEDS_LEVER = frozenset(
@@ -189,7 +185,6 @@ class Rig(NamedTuple):
 
     Attributes:
         kind: Number of effects, and whether the catalogue has them.
-        machine: The simulated machine with the effects.
         pauses_s: Time without power before each recording.
         seed: Seed of the noise.
         gravity: Whether the load is a weight fixed to the joint, without a lever.

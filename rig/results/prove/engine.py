@@ -48,13 +48,6 @@ class Engine(Protocol):
         """Yield results in the order in which they arrive.
 
         A task whose worker dies is given to another worker.
-
-        Args:
-            one: Function that does one task; it must be importable.
-            todo: The tasks; each is taken when a worker is free.
-
-        Raises:
-            InputError: Workers die repeatedly on the tasks.
         """
         ...
 
@@ -80,21 +73,13 @@ class Bundle(NamedTuple):
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:
-    """Return all files of a folder and of the folders in it, in order of their names.
-
-    Raises:
-        OSError: A file cannot be read.
-    """
+    """Return all files of a folder and of the folders in it, in order of their names."""
     found = sorted(f for f in folder.rglob("*") if is_file(f))
     return {f.relative_to(folder).as_posix(): read_bytes(f) for f in found}
 
 
 def write_folder(folder: Path, files: Files) -> None:
-    """Write files into a folder, in their order, each by one rename.
-
-    Raises:
-        OSError: A file cannot be written.
-    """
+    """Write files into a folder, in their order, each by one rename."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,11 +88,7 @@ def write_folder(folder: Path, files: Files) -> None:
 
 
 def bundle(campaign: Path) -> Bundle:
-    """Return a campaign in the form in which it is sent to a worker on another machine.
-
-    Raises:
-        InputError: The campaign names files outside its folder, or a file cannot be read.
-    """
+    """Return a campaign in the form in which it is sent to a worker on another machine."""
     folder = campaign.parent
     try:
         named = [name for r in load_campaign(campaign).value.recordings for name in r.patterns]
@@ -129,9 +110,6 @@ def bundle(campaign: Path) -> Bundle:
 def unpacked(given: Path | Bundle) -> Iterator[Path]:
     """Yield the path of a campaign file; the files of a bundle are first written into a temporary
     folder.
-
-    Raises:
-        OSError: A file cannot be written.
     """
     if isinstance(given, Path):
         yield given
@@ -242,9 +220,6 @@ def _end_with_parent() -> None:
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
     """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
     end with the context.
-
-    Raises:
-        InputError: More than one of the options is given, or the cluster cannot be used.
     """
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
         raise InputError(

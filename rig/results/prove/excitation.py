@@ -43,8 +43,6 @@ class Experiment(NamedTuple):
     """Plan of one recording.
 
     Attributes:
-        name: Name of the recording's file.
-        role: Role of the recording, as in the campaign file.
         weight_kg: Mass on the lever.
         command: Joint angle sent in each cycle, rad, shape (n,).
         fixed: Weight on the joint; on a bench without lever, present in every recording.
@@ -175,9 +173,7 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
 _DRIVEN_BACK = Experiment(
     "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
 )
-"""Weight whose torque exceeds most friction; its arm is horizontal, so that the torque keeps its
-sign and hardly depends on an angle error.
-"""
+"""Weight that exceeds most friction; a horizontal arm keeps the torque's sign."""
 
 
 _FIXED = {

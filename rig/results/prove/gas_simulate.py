@@ -74,9 +74,7 @@ def gas_experiments() -> tuple[GasExperiment, ...]:
 
 GAS_SHARES: Mapping[Kind, float] = {"one": 50.0, "nothing": 40.0, "outside": 10.0}
 RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05, 0.2
-"""Deviation of the true constants from the values in the campaign file: relative, but absolute for
-the exponent of the burning law.
-"""
+"""Deviation of true constants from the campaign file's: relative; absolute for the exponent."""
 GRAIN_SPREAD = 0.03
 """Relative scatter of the free volumes within a trial, which comes from different grain lengths."""
 NOISE_SHARES = (0.001, 0.0025)
@@ -84,9 +82,7 @@ NOISE_SHARES = (0.001, 0.0025)
 ZERO_SHARE = 0.0003
 """Largest zero error of the transmitter after taring, as a share of its range."""
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
-"""Largest errors of valve dimensions and encoder zero, and largest sampling delay of the
-pressure.
-"""
+"""Largest errors of valve dimensions and encoder zero, and delay of the pressure."""
 
 GAS_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "throat_deposition": {"rate_m_s": log(5e-7, 2e-5)},
@@ -115,12 +111,10 @@ class GasRig(NamedTuple):
 
     Attributes:
         kind: Kind of trial: no effect, one of the catalogue, or one outside it.
-        machine: The simulated machine with the effect.
         volumes_m3: Free volume of each firing.
         angle_zero_rad: True minus recorded valve angle.
         pressure_zero_Pa: Recorded pressure minus transmitter pressure.
         late_cycles: Delay of pressure relative to angle, cycles.
-        seed: Seed of the noise.
     """
 
     kind: Kind
@@ -199,11 +193,7 @@ shows the gas only through friction.
 
 
 def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
-    """Draw a trial, and write and seal its truth; nothing is simulated yet.
-
-    Raises:
-        OSError: The truth cannot be written.
-    """
+    """Draw a trial, and write and seal its truth; nothing is simulated yet."""
     rig = draw_gas(*assigned, seed)
     gas = rig.machine.gas
     drawn = {k: v for k, v in rig._asdict().items() if k not in ("kind", "machine")}
@@ -232,11 +222,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:
-    """Simulate a trial, write its campaign, and return the strength of its effect in the pressure.
-
-    Raises:
-        OSError: A file cannot be written.
-    """
+    """Simulate a trial, write its campaign, and return its effect's strength in the pressure."""
     rig = draw_gas(*assigned, seed)
     burns = campaign(rig)
     write(where.campaign, burns)
@@ -273,11 +259,7 @@ def campaign(rig: GasRig) -> list[Samples]:
 
 
 def write(file: Path, burns: Sequence[Samples]) -> None:
-    """Write a campaign with the paper's constants of the gas generator.
-
-    Raises:
-        OSError: A file cannot be written.
-    """
+    """Write a campaign with the paper's constants of the gas generator."""
     file.parent.mkdir(parents=True, exist_ok=True)
     for experiment, samples in zip(gas_experiments(), burns, strict=True):
         columns = {name: getattr(samples, name) for name in CHANNELS}

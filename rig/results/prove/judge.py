@@ -28,8 +28,6 @@ class Judgement(NamedTuple):
         baselines: Effects that each baseline method selects, the most important first.
         oracle: Function of the true names that returns the record of
             :class:`identification.diagnosis.oracle.HeldOut` or None.
-        seconds: Time spent on the diagnosis, s.
-        baseline_seconds: Time spent on the baselines, s.
         left: Residual of the nominal model's fit in each equation, in the unit of the equation.
     """
 
@@ -42,17 +40,11 @@ class Judgement(NamedTuple):
 
 
 Judge = Callable[[Path, int], Judgement]
-"""Function that judges a campaign file with a seed; only the oracle of the judgement gets the true
-names, afterwards.
-"""
+"""Judges a campaign with a seed; only the judgement's oracle gets the true names."""
 
 
 def judge(source: Path, seed: int) -> Judgement:
-    """Diagnose a campaign, and run the baseline methods on the same rows.
-
-    Raises:
-        InputError: The source cannot be read, or its recordings cannot be diagnosed.
-    """
+    """Diagnose a campaign, and run the baseline methods on the same rows."""
     seen: list[Joint] = []
     began = time.perf_counter()
     outcome = diagnose_source(source, seed, inspect=seen.append)
@@ -76,9 +68,6 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     Returns:
         The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model
         cannot be fitted, or if the campaign has no unused recordings.
-
-    Raises:
-        InputError: The source cannot be read.
     """
     dataset, bandwidth, _ = choose(load_source(source), None)
     try:

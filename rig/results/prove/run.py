@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_json, read_utf8, write_json, write_text
+from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
@@ -62,11 +62,7 @@ SUMS_FILE = "SHA256SUMS"
 
 
 def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
-    """Write the digest of every file of the folder; return the path of the list.
-
-    Raises:
-        OSError: The list cannot be written.
-    """
+    """Write the digest of every file of the folder; return the path of the list."""
     path = home / SUMS_FILE
     found = {f for part in parts for f in (home / part, *(home / part).rglob("*"))}
     files = sorted(f for f in found if is_file(f) and f != path)
@@ -76,12 +72,7 @@ def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
 
 
 def check_sums(home: Path) -> None:
-    """Compare the files of the folder with its list of digests; without a list nothing is checked.
-
-    Raises:
-        InputError: A file is missing, or its digest differs from the listed digest; the message
-            names all files with an error.
-    """
+    """Compare the files of the folder with its list of digests, if there is a list."""
     path = home / SUMS_FILE
     if not is_file(path):
         return
@@ -115,11 +106,7 @@ def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
 
 
 def timed_row(out: Path, name: str) -> dict[str, Any]:
-    """Return the row of a trial with its durations.
-
-    Raises:
-        InputError: A file is missing or damaged.
-    """
+    """Return the row of a trial with its durations."""
     row = dict(read_json(out / ROWS / f"{name}.json"))
     beside = out / TIMES / f"{name}.json"
     spent = read_json(beside) if is_file(beside) else {}
@@ -193,12 +180,7 @@ def _told(
 
 
 def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
-    """Seal all trials, or continue a proof that was begun in this folder with the same settings.
-
-    Raises:
-        InputError: The folder holds a proof with other settings.
-        OSError: A file cannot be written.
-    """
+    """Seal all trials, or continue a proof that was begun in this folder with the same settings."""
     settings = {"rigs": rigs, "seed": seed, "from": None, "family": family, "row_version": VERSION}
     file = out / PROOF_FILE
     if is_file(file):
@@ -225,11 +207,7 @@ def _make_folders(out: Path, *more: str) -> None:
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the seals of a proof that was begun earlier: the digest of each trial, by its number.
-
-    Raises:
-        InputError: The file is not by this program, or belongs to a proof with other settings.
-    """
+    """Return the digest of each trial of a proof that was begun earlier, by its number."""
     begun = read_json(file)
     try:
         found = begun["settings"]
@@ -248,7 +226,6 @@ class Trial(NamedTuple):
     """One trial as it is sent to a worker.
 
     Attributes:
-        number: Number of the trial, from 1.
         assigned: Kind and effects.
         sealed: Content of the sealed truth, which the worker writes to its disk, and reads, only
             after the diagnosis.
@@ -277,12 +254,7 @@ class Proved(NamedTuple):
 def work(
     proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Diagnose and score the trials that have no row yet; return all rows in order.
-
-    Raises:
-        InputError: A truth was changed after it was sealed, or workers die repeatedly.
-        OSError: A file cannot be written.
-    """
+    """Diagnose and score the trials that have no row yet; return all rows in order."""
     assigned = FAMILIES[proof.family].assignment(len(proof.rigs), proof.seed)
     todo = [
         Trial(n, given, sealed_content(rig.truth), rig.truth, rig.digest)
@@ -304,10 +276,6 @@ def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) 
 
     The result depends on the arguments alone, except for its date and durations. The truth is
     opened after the judgement.
-
-    Raises:
-        InputError: The truth was changed after it was sealed.
-        OSError: The temporary folder cannot be written.
     """
     with TemporaryDirectory(prefix="loadrig-") as scratch:
         home = Path(scratch)
@@ -352,17 +320,11 @@ def diagnosis_seed(seed: int, number: int) -> int:
 
 SUFFIXES = (".yaml", ".yml", ".json")
 PREFIX = "rig-"
-"""Name of a rig's folder if the file of its truth is named by a number, as ``rig prove`` writes
-it.
-"""
+"""Prefix of a rig's folder if its truth is named by a number."""
 
 
 def sealed_rigs(home: Path) -> list[Sealed]:
-    """Return the rigs of a folder in order of their names, with the digests of their truths.
-
-    Raises:
-        InputError: The folder has no rigs, or a truth cannot be read.
-    """
+    """Return the rigs of a folder in order of their names, with the digests of their truths."""
     found = list(_found(home))
     if not found:
         raise InputError(
@@ -379,10 +341,8 @@ def _found(home: Path) -> Iterator[Sealed]:
         for name in (truth.stem, PREFIX + truth.stem):
             rig = place(home, name)
             if is_file(rig.campaign):
-                try:
+                with usable(truth, "read"):
                     yield rig._replace(truth=truth, digest=sha256_file(truth))
-                except OSError as error:
-                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
                 break
 
 
@@ -398,7 +358,6 @@ class Made(NamedTuple):
     """One rig that was made.
 
     Attributes:
-        name: Name of the rig.
         files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
     """
 
@@ -414,12 +373,7 @@ def seal_all(
     progress: Progress,
     salt: Callable[[int], str] = random_salt,
 ) -> list[Sealed]:
-    """Make and write the rigs that do not exist yet; return all rigs with their digests.
-
-    Raises:
-        InputError: Workers die repeatedly.
-        OSError: A file cannot be written.
-    """
+    """Make and write the rigs that do not exist yet; return all rigs with their digests."""
     todo = [
         Task(n, assigned, salt(n))
         for n, assigned in drawn
@@ -454,10 +408,6 @@ def seal_own(home: Path, rigs: int, seed: int, engine: Engine, progress: Progres
     """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
 
     Trials that exist already are kept, so that a call that was stopped can be repeated.
-
-    Raises:
-        InputError: Workers die repeatedly.
-        OSError: A file cannot be written.
     """
     drawn = list(enumerate(assignment(rigs, seed), start=1))
     return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)
@@ -482,19 +432,11 @@ def _seal(task: Task, seed: int) -> Made:
 Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
 """Function of campaign file and true names; returns the errors with the true structure, or None."""
 Floors = Callable[[Path], Mapping[str, float]]
-"""Function of the campaign file of a rig without effects; returns the residual of the nominal model
-in each equation.
-"""
+"""Returns the nominal model's residual in each equation, of a campaign without effects."""
 
 
 def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
-    """Read the seals of a folder, or continue a proof that began with these seals.
-
-    Raises:
-        InputError: The folder has no sealed rigs, or files that were changed; or ``out`` holds a
-            proof with other settings or seals.
-        OSError: A file cannot be written.
-    """
+    """Read the seals of a folder, or continue a proof that began with these seals."""
     given = sealed_rigs(source)[:rigs]
     check_sums(source)
     settings = {"rigs": rigs, "seed": seed, "from": _stated(source, out), "row_version": VERSION}
@@ -520,12 +462,7 @@ def _stated(source: Path, out: Path) -> str:
 
 
 def diagnose_all(proof: Proof, judge: Judge, engine: Engine, progress: Progress) -> None:
-    """Diagnose the rigs that have no judgement yet; no truth is opened.
-
-    Raises:
-        InputError: Workers die repeatedly, or lack a file of a campaign.
-        OSError: A file cannot be written.
-    """
+    """Diagnose the rigs that have no judgement yet; no truth is opened."""
     numbered = list(enumerate(proof.rigs, start=1))
     todo = [(n, r) for n, r in numbered if not is_file(proof.file(JUDGEMENTS, r))]
     tasks = (
@@ -561,11 +498,7 @@ class Diagnosed(NamedTuple):
 
 
 def given(campaign: Path, engine: Engine) -> Path | Bundle:
-    """Return a campaign in the form in which a worker of the engine can read it.
-
-    Raises:
-        InputError: The campaign has files outside its folder, which another machine cannot read.
-    """
+    """Return a campaign in the form in which a worker of the engine can read it."""
     return campaign if engine.shares_files else bundle(campaign)
 
 
@@ -608,13 +541,7 @@ def _refusal(message: str, trace: str = "") -> Judgement:
 def score_all(
     proof: Proof, oracle: Oracle, floors: Floors, engine: Engine, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Open the truths and score the judgements; return all rows in order.
-
-    Raises:
-        InputError: A rig is not diagnosed yet; a truth was changed or is not valid; workers die
-            repeatedly.
-        OSError: A file cannot be written.
-    """
+    """Open the truths and score the judgements; return all rows in order."""
     missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]
     if missing:
         raise InputError(
@@ -636,7 +563,6 @@ class ToScore(NamedTuple):
     """One rig to score.
 
     Attributes:
-        name: Name of the rig.
         campaign: Campaign of the rig if the true structure is fitted to it, else None.
         names: True effects of the rig.
         reference: Campaign of the rig without its effects, or None if there is none.

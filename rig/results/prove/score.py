@@ -80,17 +80,11 @@ def located(
 
 
 CONFIDENT = 0.9
-"""Confidence above which an effect that is identified on a trial outside the catalogue counts as a
-gross error.
-"""
+"""Confidence of a name outside the catalogue above which it is a gross error."""
 MOST_NAMED = 3
-"""Number of effects of a baseline method, from its first, that count if two effects are injected; a
-diagnosis identifies at most as many effects.
-"""
+"""Number of a baseline's effects that count for two injected; a diagnosis names as many."""
 WORTH = 0.05
-"""Least reduction, over the noise, of the error on unused recordings by the oracle for which
-diagnosis and oracle are compared.
-"""
+"""Least gain of the oracle, over the noise, for which the diagnosis is compared."""
 FAINT = 1e-12
 NAMED = ("name", "alias_group", "confidence")
 """Values of an identified effect that a row holds."""
@@ -109,15 +103,11 @@ def row_of(
 ) -> dict[str, Any]:
     """Score one trial's judgement against its truth.
 
-    Args:
-        truth: The opened truth: ``rig``, ``kind``, ``effects`` and ``parameters``.
-        strengths: Strength of the effects (rms change over noise) by channel.
-        judgement: Judgement of the trial.
-        oracle: Held-out errors with the true structure, or None if there is none.
-        digest: Digest of the seal.
-        floor: Residual of the nominal model on the reference simulation, by equation; empty if it
-            is not known.
-        recordings: Names of the recordings, in the order in which the truth counts them.
+    ``truth``: the opened truth: ``rig``, ``kind``, ``effects`` and ``parameters``. ``strengths``:
+    strength of the effects (rms change over noise) by channel. ``oracle``: held-out errors with the
+    true structure, or None if there is none. ``floor``: residual of the nominal model on the
+    reference simulation, by equation; empty if it is not known. ``recordings``: names of the
+    recordings, in the order in which the truth counts them.
 
     Returns:
         A row; ``refused`` is the message if no diagnosis was possible, else null; ``top1``,
@@ -370,9 +360,7 @@ def _parts(pairs: Sequence[tuple[Any, Row]]) -> Iterator[dict[str, Any]]:
 PROVE_SCHEMA = "loadrig.prove/3"
 RESULT_FILE = "prove.json"
 STRONG = 3.0
-"""Least strength of an effect that a diagnosis must identify: rms change over noise, in the channel
-in which this ratio is greatest.
-"""
+"""Least strength of an effect that must be identified: rms change over noise."""
 TORQUE = "current"
 """Channel in which the torque of an effect is measured: the motor current during motion."""
 NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}

@@ -124,15 +124,8 @@ def write(
     All time stamps are of one clock, so that the first time stamp of each recording is the start
     of the recording in the campaign.
 
-    Args:
-        folder: Folder of the campaign.
-        machine: The plant; only its nominal constants are written.
-        recorded: Recordings of the plant.
-        packed: Whether to compress the recordings; compression takes half as long as their
-            simulation.
-
-    Raises:
-        OSError: A file cannot be written.
+    ``machine``: the plant; only its nominal constants are written. ``packed``: whether to compress
+    the recordings; compression takes half as long as their simulation.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for entry in recorded:
@@ -203,9 +196,6 @@ def residual_rms(joint: Joint) -> dict[str, float]:
 def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
     """Return the nominal model's residual on a reference simulation without effects; empty if the
     model cannot be fitted.
-
-    Raises:
-        OSError: A file cannot be written.
     """
     with TemporaryDirectory() as folder:
         return floors_of(write(Path(folder), machine, reference, packed=False))
@@ -214,9 +204,6 @@ def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
 def floors_of(campaign: Path) -> dict[str, float]:
     """Return the nominal model's residual on the campaign of a trial without effects; empty if the
     model cannot be fitted.
-
-    Raises:
-        InputError: The campaign cannot be read.
     """
     dataset, bandwidth, _ = choose(load_source(campaign), None)
     try:
@@ -266,9 +253,6 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
 
     The noise floors of the trial's reference simulation are written next to its truth.
-
-    Raises:
-        OSError: A file cannot be written.
     """
     plan = experiments(rig.gravity)
     recorded = campaign(rig, plan)

@@ -97,11 +97,7 @@ class Truth(Schema):
 
 
 def load_truth(path: Path) -> Truth:
-    """Read a truth.
-
-    Raises:
-        InputError: The file is not valid; the message has every error with its place.
-    """
+    """Read a truth."""
     document = load_located(path, Truth)
     document.require(_cross_check(document))
     return document.value
@@ -155,8 +151,6 @@ class Sealed(NamedTuple):
 
     Attributes:
         name: Name of the rig; that of a trial of this program is its number, from 0001.
-        campaign: Campaign file.
-        truth: File of the truth.
         digest: SHA-256 of the truth's file.
     """
 
@@ -184,11 +178,7 @@ def place_of_trial(out: Path, number: int, digest: str = "") -> Sealed:
 
 
 def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
-    """Write and seal the truth of one rig; return the rig with its digest.
-
-    Raises:
-        OSError: The truth cannot be written.
-    """
+    """Write and seal the truth of one rig; return the rig with its digest."""
     where.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {"truth": 1, "rig": rig, "outside": strangers(truth["effects"]), **truth}
     return where._replace(digest=seal(where.truth, content, salt))
@@ -221,11 +211,7 @@ def random_salt(_number: int = 0) -> str:
 
 
 def unseal(path: Path, digest: str) -> Truth:
-    """Read a truth, and check it against the digest that was shown.
-
-    Raises:
-        InputError: The file is missing, was changed after it was sealed, or is not a truth.
-    """
+    """Read a truth, and check it against the digest that was shown."""
     content = sealed_content(path)
     found = sha256(content)
     if found != digest:
@@ -237,11 +223,7 @@ def unseal(path: Path, digest: str) -> Truth:
 
 
 def sealed_content(path: Path) -> bytes:
-    """Return the content of a sealed truth as bytes, without parsing it.
-
-    Raises:
-        InputError: The file is missing or cannot be read.
-    """
+    """Return the content of a sealed truth as bytes, without parsing it."""
     try:
         return read_bytes(path)
     except FileNotFoundError as error:

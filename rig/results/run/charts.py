@@ -45,9 +45,7 @@ NEVER_MOVED = "No control cycle was recorded: the drive was never under power, a
 HOST, SIMULATED = "host time", "simulated time"
 DEG = math.degrees(1.0)
 _SEEN = 10.0
-"""Ratio of a limit to the greatest value up to which the limit is drawn; a more distant limit would
-flatten the curve.
-"""
+"""Ratio of a limit to the greatest value up to which the limit is drawn."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +53,6 @@ class Panel:
     """One chart of a run: its channels, and its upper and lower limit in SI units, if any.
 
     Attributes:
-        title: Title of the chart.
-        unit: Unit of the chart.
         scale: Factor from the SI unit to ``unit``.
         channels: Names of the curves by their columns; the limits are those of the first curve.
         checks: Checks whose trips the chart shows.
@@ -209,13 +205,9 @@ def chart(
     """Return one chart of a time interval. The result is None if no channel of the panel was
     recorded.
 
-    Args:
-        panel: The panel.
-        series: Values in the interval.
-        steps: Limits over time; empty if unknown.
-        tripped: The trip, if this panel shows it; the limit of the trip is drawn if ``steps`` is
-            empty.
-        tall: Whether it is the most important chart, drawn taller.
+    ``steps``: limits over time; empty if unknown. ``tripped``: the trip, if this panel shows it;
+    the limit of the trip is drawn if ``steps`` is empty. ``tall``: whether it is the most important
+    chart, drawn taller.
     """
     extremes = {name: series.extremes(name) for name in panel.channels}
     channels = {

@@ -132,12 +132,7 @@ def dry_run(
 ) -> DryRun:
     """Compute motion, peaks and duration of a run.
 
-    Args:
-        bench: The bench.
-        load: The plan and its predicted peaks.
-        asks: Whether an operator must answer the prompts.
-        acceptance: Limits by which the complete run will be judged.
-        acceptance_source: Origin of these limits.
+    ``asks``: whether an operator must answer the prompts.
     """
     plan = load.plan
     prompts = len(plan.stages) if asks else 0

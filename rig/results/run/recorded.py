@@ -82,9 +82,7 @@ STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
 PAUSES = frozenset({"stage end", "stage start", "units", "weight check"})
-"""Events after which the control cycle rests or restarts, so that the time step to the next sample
-does not count as lateness.
-"""
+"""Events after which the cycle rests or restarts: the next step is no lateness."""
 _GAP_CYCLES = 10.0
 """Number of consecutive missing cycles from which on the curve is interrupted."""
 _CODES: Mapping[ServoState, str] = {
@@ -133,10 +131,6 @@ class _Carried:
 
 class Deriver:
     """Function that derives the plotted channels of consecutive blocks of samples.
-
-    Args:
-        bench: Constants of the bench.
-        cycle_s: Control cycle, s.
 
     Attributes:
         starts: Time, s, and command, rad, of the first sample of each stage under power.
@@ -245,9 +239,7 @@ def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
 
 
 TAIL_S = 8.0
-"""Time at the end of a recording that is kept sample by sample, s; braking takes up to 1 s of this
-time.
-"""
+"""Time at the end of a recording that is kept sample by sample, s; braking takes 1 s."""
 COLUMNS = 1000
 """Number of columns for which a recording is reduced: one or two intervals of time a column."""
 
@@ -331,9 +323,6 @@ def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:
     """Read one recording of a run.
 
     A recording that was not closed in order is read at once, and its damage is reported.
-
-    Raises:
-        InputError: The file cannot be opened, or is not a recording.
     """
     try:
         return _gathered(run_items(path, Sample._fields), bench, cycle_s)
@@ -388,9 +377,7 @@ def _reduced(decimation: Decimation, powered: Sequence[tuple[float, float]]) -> 
 
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
-"""Events that end a first pass; if a run ends during a first pass, the limits of the first pass
-hold to the end.
-"""
+"""Events that end a first pass; without one its limits hold to the end."""
 RUN_ATTACHMENT = "run.json"
 """Name of the attached record of a run, as the record was at the start."""
 _SAME = 1e-9
@@ -465,7 +452,13 @@ def limit_steps(
     before: PlannedPass | None = None
     for event in events:
         if event["event"] == "first pass":
-            planned = _pass_of(plan, event)
+            passes = next(
+                (stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ()
+            )
+            planned = next(
+                (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)),
+                None,
+            )
             if planned is None:
                 continue
             steps += _pass_steps(planned, before, plan, event, starts)
@@ -476,13 +469,6 @@ def limit_steps(
         if event["event"] == "stage start":
             before = None
     return steps
-
-
-def _pass_of(plan: Plan, event: Mapping[str, Any]) -> PlannedPass | None:
-    passes = next((stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ())
-    return next(
-        (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)), None
-    )
 
 
 def _pass_steps(
@@ -633,11 +619,7 @@ class Tripped:
 
 
 class Recorded:
-    """One recording of a run, read in order to draw it.
-
-    Raises:
-        InputError: The file cannot be opened, or is not a recording.
-    """
+    """One recording of a run, read in order to draw it."""
 
     def __init__(self, folder: Path, record: RunRecord, number: int) -> None:
         self.record = record

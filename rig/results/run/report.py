@@ -44,9 +44,6 @@ def write_run_report(folder: Path, record: RunRecord) -> Path:
 
     The page is written without template engine and plotting library, whose import would take longer
     than the rest of a run's end.
-
-    Raises:
-        OSError: The page cannot be written.
     """
     path = folder / REPORT_FILE
     write_text(path, "\n".join(_page(folder, record)) + "\n")
@@ -57,9 +54,6 @@ def write_verdict(folder: Path, record: RunRecord) -> None:
     """Put the verdict of a run that was judged after its end into ``run.html``.
 
     Only the headline is replaced, because drawing the recordings of an hour takes 20 s.
-
-    Raises:
-        OSError: The page cannot be written.
     """
     path = folder / REPORT_FILE
     before, _, rest = (

@@ -26,15 +26,12 @@ class Head:
             incomplete), `other version` (this program does not read the format of the record), or
             `unreadable` (the record is invalid, or cannot be read).
         problem: Message with the remedy; empty for a run.
-        sequence: Name of the sequence.
         created: Start of the run, ISO 8601, UTC.
-        bench: Name of the bench.
         simulated: Whether the bench is simulated, or None if unknown.
         operators: Names of the operators, in order.
         masses_kg: Confirmed masses of the stages, each once; the planned masses if no mass was
             confirmed.
         state: `running`, or how the run ended.
-        message: How the run ended, as text.
         seconds: Time of the bench, s.
         weights: Verdicts of the weight checks, each once.
         identified: Method of the identification; empty without an identification.
@@ -77,7 +74,6 @@ class Constant:
         value: Estimate, or None if the parameter is not identifiable.
         low: Lower end of the interval, or None without an interval.
         high: Upper end of the interval, or None.
-        unit: Unit.
         at_bound: Whether the estimate is at a bound of the search.
     """
 
@@ -102,7 +98,6 @@ class Details:
     Attributes:
         constants: Identified parameters by name.
         fit_rms: Torque error of the identification, or None if unknown.
-        fit_unit: Unit of the torque error.
         motion: `rotary` or `linear`.
         devices: Identity (name and serial number) of the devices by role.
     """

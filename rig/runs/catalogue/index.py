@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_bytes, read_json, replacing
+from rig.common.places import is_file, read_bytes, read_json, replacing, usable
 from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
@@ -124,15 +124,9 @@ class Listing(NamedTuple):
 
 
 def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) -> Listing:
-    """Return the runs in and below a folder, from the index if the index is current.
-
-    Raises:
-        InputError: The folder cannot be searched.
-    """
-    try:
+    """Return the runs in and below a folder, from the index if the index is current."""
+    with usable(root, "searched"):
         found = list(find_runs(root))
-    except OSError as error:
-        raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
     rows = _load(file)
     signed = {folder: row.signature for folder, row in rows.items()}

@@ -38,12 +38,9 @@ class Verified:
     """One file and the result of its comparison.
 
     Attributes:
-        file: Path relative to the run folder.
-        finding: Result of the comparison.
         sha256: Present digest; empty for a missing file.
         recorded: Recorded digest; empty if no digest was recorded.
         by: File with the recorded digest; empty if no digest was recorded.
-        words: Further remark.
     """
 
     file: str

@@ -24,9 +24,7 @@ SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
 FRAMES_TOPIC = "/frames"
 TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
-"""Topics of the channels 1 to 3, which are fixed, so that recordings with damaged channel records
-can be read.
-"""
+"""Topics of channels 1 to 3: fixed, so that damaged channel records do not matter."""
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
 CLOCK_METADATA = "clock"
@@ -41,9 +39,7 @@ EVENT_JSON_SCHEMA = (
 _DOUBLE_WIRE_TYPE = 1
 _BYTES_WIRE_TYPE = 2
 _FRAME = "qI9p?"
-"""One raw frame: time, ns; identifier; number of data bytes; up to 8 data bytes; whether the host
-sent the frame.
-"""
+"""One raw frame: time, ns; identifier; length; up to 8 data bytes; sent by the host."""
 FRAME_BYTES = struct.calcsize("<" + _FRAME)
 
 
@@ -112,11 +108,7 @@ def encode_sample(sample: Sample) -> bytes:
 
 
 def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array per field, shape (n,); missing fields are NaN.
-
-    Raises:
-        ValueError: The length is not a whole number of samples.
-    """
+    """Unpack concatenated samples into one array per field, shape (n,); missing fields are NaN."""
     rows = np.frombuffer(messages, _DTYPES[size])
     held = _DTYPES[size].names or ()
     return {
@@ -147,11 +139,7 @@ def encode_frames(frames: list[RawFrame], zero_ns: int = 0) -> bytes:
 
 
 def decode_frames(message: bytes) -> list[RawFrame]:
-    """Unpack the frames of a cycle.
-
-    Raises:
-        struct.error: The length is not a whole number of frames.
-    """
+    """Unpack the frames of a cycle."""
     # Imported here, because the samples can be read without the drivers.
     from drivers.interfaces import RawFrame
 

@@ -84,11 +84,7 @@ def _next_sound(data: bytes, offset: int) -> int | None:
 
 
 def attachment(content: bytes) -> Attachment:
-    """Return an attachment, checked against its CRC.
-
-    Raises:
-        DamageError: The CRC does not agree with the attachment.
-    """
+    """Return an attachment, checked against its CRC."""
     if len(content) < 4 or zlib.crc32(content[:-4]) != struct.unpack("<I", content[-4:])[0]:
         raise DamageError("an attachment does not agree with its checksum")
     found: Attachment = _parsed(Attachment, content, "an attachment")
@@ -108,9 +104,6 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     their CRC is checked.
 
     ``before`` is the number of bytes of the recording before ``data``.
-
-    Raises:
-        DamageError: The summary is incomplete or damaged.
     """
     footer_at = len(data) - len(MAGIC) - _FOOTER.size
     if not data.endswith(MAGIC) or footer_at < offset:
@@ -132,11 +125,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
 
 
 def chunk(content: bytes) -> bytes:
-    """Return a chunk's records, checked against its CRC.
-
-    Raises:
-        DamageError: The CRC does not agree with the records.
-    """
+    """Return a chunk's records, checked against its CRC."""
     try:
         _, _, size, crc = _CHUNK.unpack_from(content)
         (name_length,) = struct.unpack_from("<I", content, _CHUNK.size)
@@ -387,12 +376,7 @@ class Tail:
         self._stream.close()
 
     def at(self, offset: int) -> Piece | None:
-        """Read the record at ``offset``; return None if the record is not complete yet.
-
-        Raises:
-            OSError: The file cannot be read.
-            DamageError: The record is damaged, or was written by another program.
-        """
+        """Read the record at ``offset``; return None if the record is not complete yet."""
         head = self._head(offset)
         if head is None:
             return None
@@ -408,10 +392,6 @@ class Tail:
     def since(self, seconds: float) -> int:
         """Return the offset of the first chunk with data of the last ``seconds`` of the recording;
         only the heads of the records are read.
-
-        Raises:
-            OSError: The file cannot be read.
-            DamageError: A record's head is damaged.
         """
         chunks: list[tuple[int, int]] = []
         offset = START
@@ -496,10 +476,8 @@ def run_items(
 
     Events come before the block with the samples of the same time.
 
-    Args:
-        path: The recording.
-        fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
-        only_samples: Whether to yield blocks of samples only.
+    ``fields``: fields of :class:`rig.common.sample.Sample` in the blocks. ``only_samples``: whether
+    to yield blocks of samples only.
 
     Raises:
         DamageError: The recording is not complete; all items yielded so far are valid.
@@ -537,7 +515,6 @@ def first_attachment(path: Path, name: str) -> bytes:
 
     Raises:
         DamageError: No attachment has this name, or the attachment is damaged.
-        OSError: The file cannot be read.
     """
     for opcode, content in _before_messages(path):
         if opcode == Opcode.ATTACHMENT and (found := attachment(content)).name == name:
@@ -548,10 +525,6 @@ def first_attachment(path: Path, name: str) -> bytes:
 def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
     """Return metadata that were written before the first messages, or None if there are none of
     this name.
-
-    Raises:
-        DamageError: The metadata are damaged.
-        OSError: The file cannot be read.
     """
     for opcode, content in _before_messages(path):
         if (

@@ -48,9 +48,7 @@ bool is_error
 uint8 dlc
 uint8[8] data
 {_HEADER}"""
-"""Definition of a CAN frame (ros_canopen's can_msgs/Frame). ``frame_id`` is ``sent`` for frames of
-the host, else ``received``.
-"""
+"""A CAN frame (ros_canopen's can_msgs/Frame); ``frame_id`` is sent or received."""
 SERIAL_TEXT = f"""std_msgs/Header header
 uint32 line
 uint8[] data
@@ -71,12 +69,7 @@ def is_serial(frame: RawFrame) -> bool:
 
 
 def samples(messages: Sequence[bytes]) -> list[bytes]:
-    """Return recorded samples of equal size as CDR; fields that the samples lack are NaN.
-
-    Raises:
-        KeyError: The size is not in :data:`rig.runs.mcap.layout.SAMPLE_SIZES`.
-        ValueError: The sizes differ.
-    """
+    """Return recorded samples of equal size as CDR; fields that the samples lack are NaN."""
     if not messages:
         return []
     fields = decode_samples(b"".join(messages), len(messages[0]))

@@ -128,7 +128,23 @@ class McapWriter:
         self._finish_chunk()
         self._write(DataEnd(0))
         start = self._stream.tell()
-        records = [*self._schemas, *self._channels, self._statistics()]
+        records = [
+            *self._schemas,
+            *self._channels,
+            Statistics(
+                attachment_count=len(self._attachments),
+                channel_count=len(self._channels),
+                channel_message_counts={
+                    channel: count for channel, count in self._counts.items() if count
+                },
+                chunk_count=len(self._chunks),
+                message_count=sum(self._counts.values()),
+                message_start_time=min((c.message_start_time for c in self._chunks), default=0),
+                message_end_time=max((c.message_end_time for c in self._chunks), default=0),
+                metadata_count=len(self._metadata),
+                schema_count=len(self._schemas),
+            ),
+        ]
         summary = _encoded(*records, *self._chunks, *self._attachments, *self._metadata)
         crc = zlib.crc32(FOOTER_START.pack(Opcode.FOOTER, 20, start, 0), zlib.crc32(summary))
         self._stream.write(summary)
@@ -181,21 +197,6 @@ class McapWriter:
         )
         self._parts.clear()
         self._size = 0
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts={
-                channel: count for channel, count in self._counts.items() if count
-            },
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            message_start_time=min((c.message_start_time for c in self._chunks), default=0),
-            message_end_time=max((c.message_end_time for c in self._chunks), default=0),
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
 
 
 def _encoded(*records: McapRecord) -> bytes:
