@@ -29,7 +29,7 @@ from identification.estimate import default
 from identification.estimate.default import identify_long
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench
-from identification.simulate.drive_loop import respond, usual_loop
+from identification.simulation.drive_loop import respond, usual_loop
 from rig.common.sample import Sample
 from rig.common.tables import table
 from rig.config.bench import load_bench

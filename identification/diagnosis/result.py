@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
-from identification.effects.model import Curve
+from identification.effects.model import CorrectedModel, Curve
+from identification.numerics.arrays import plain
+from identification.numerics.spread import NO_SPREAD, Spread
 from identification.recording import Array
 
 
@@ -210,6 +213,12 @@ class Diagnosis:
         traces: Mismatch against time, for the report.
         warnings: Warnings on the recordings and on the result.
         seconds: Computing time, s.
+        alpha: Stribeck exponent.
+        covariance: Covariance of the nominal parameters beside the effects, if the default
+            estimator fitted them; else without a name.
+        ranges: Least and greatest ``angle``, ``velocity`` and ``moment`` of the load in the
+            recordings that were fitted, at the bandwidth of the fit.
+        model: The corrected model, for predictions and simulations; None of a gas generator.
     """
 
     verdict: Verdict
@@ -227,4 +236,65 @@ class Diagnosis:
     traces: tuple[ResidualTrace, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
-    alpha: float = field(default=2.0)
+    alpha: float = 2.0
+    covariance: Spread = NO_SPREAD
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    model: CorrectedModel | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of the nominal parameters, and of those of effects as ``effect.name``."""
+        effects = {
+            f"{effect.name}.{name}": estimate.value
+            for effect in self.effects
+            for name, estimate in effect.parameters.items()
+        }
+        return {**self.parameters, **effects}
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Name to 90 % interval, of the names of ``values`` that have one."""
+        nominal = {
+            name: (self.parameters[name] - half, self.parameters[name] + half)
+            for name in self.covariance.names
+            if name in self.parameters
+            for half in [self.covariance.half_width(name)]
+        }
+        effects = {
+            f"{effect.name}.{name}": (estimate.low, estimate.high)
+            for effect in self.effects
+            for name, estimate in effect.parameters.items()
+        }
+        return {**nominal, **effects}
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation of the parameters of ``covariance``, shape (p, p)."""
+        return self.covariance.correlation
+
+    @property
+    def residuals(self) -> dict[str, Array]:
+        """Name of each fitted recording to the error of the corrected model in the equation of
+        ``fit``, at the samples of its :class:`ResidualTrace`.
+        """
+        return {t.recording: t.after for t in self.traces if t.equation == self.fit.equation}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as values for JSON, with the keys of ``rig diagnose --json``."""
+        return {
+            "verdict": self.verdict.value,
+            "statement": self.statement,
+            "effects": plain(self.effects),
+            "curve": plain(self.curve),
+            "fit": plain(self.fit),
+            "fits": plain(self.fits),
+            "parameter_shift": plain(self.parameter_shift),
+            "p_value": plain(self.p_value),
+            "location": plain(self.location),
+            "parameters": plain(self.parameters),
+            "alpha": plain(self.alpha),
+            "steps": plain(self.steps),
+            "warnings": plain(self.warnings),
+            "covariance": self.covariance.to_dict(),
+            "ranges": plain(self.ranges),
+        }

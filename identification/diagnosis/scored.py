@@ -26,6 +26,7 @@ from identification.effects.model import (
     views_for,
 )
 from identification.numerics.least_squares import least_squares
+from identification.numerics.spread import NO_SPREAD, Spread
 from identification.recording import Array, Dataset, RecordingError
 from identification.result import Identification
 from identification.signals import BoolArray
@@ -57,11 +58,13 @@ class Constants(NamedTuple):
         values: Name to value, also of parameters that the recordings do not determine.
         known: Name to value, None for a parameter that the recordings do not determine.
         warnings: Warnings of the estimator.
+        covariance: Covariance of the estimator.
     """
 
     values: Mapping[str, float]
     known: Mapping[str, float | None]
     warnings: tuple[str, ...] = ()
+    covariance: Spread = NO_SPREAD
 
 
 class Scores(NamedTuple):
@@ -94,7 +97,7 @@ def constants_of(joint: Joint) -> Constants:
 def identified_constants(found: Identification) -> Constants:
     """Return the nominal parameters of ``rig identify``."""
     known = {n: found.parameters[n].value if n in found.parameters else None for n in found.fitted}
-    return Constants(dict(found.fitted), known, found.warnings)
+    return Constants(dict(found.fitted), known, found.warnings, found.covariance)
 
 
 def unreported_constants(joint: Joint) -> dict[str, float]:
@@ -232,7 +235,7 @@ def _settled(
     if pairs[1] > SETTLED_COST * pairs[0]:
         return first, constants
     settled = {n: values[n] for n in constants.values}
-    return other, Constants(settled, constants.known, (*constants.warnings, *notes))
+    return other, constants._replace(values=settled, warnings=(*constants.warnings, *notes))
 
 
 def worse(one: Scores, other: Scores, equation: str, role: str) -> bool:

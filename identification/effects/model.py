@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.effects import EFFECTS
 from identification.effects.effect import Columns, Effect, Shape
-from identification.estimate.default import identify
+from identification.estimate.default import identify_any_length
 from identification.estimate.equation_error import LEAST_MOTION
 from identification.model.parameters import UNITS_ROTARY
 from identification.numerics.arrays import Array
@@ -278,7 +278,7 @@ def refit(
     rng: np.random.Generator | None = None,
 ) -> Identification:
     """Return the nominal parameters of a dataset without its effects, with intervals, by the
-    default estimator; ``rng`` is that of :func:`identify`.
+    default estimator; ``rng`` is that of :func:`identify_any_length`.
 
     The diagnosis uses equation errors, which do not resolve the falling branch of friction under
     load. The default estimator refines its values by prediction errors, but accepts the refined
@@ -288,7 +288,7 @@ def refit(
         RecordingError: The recordings do not determine the model.
     """
     fitted = without_effects(dataset.part("fit"), model, bandwidth_Hz)
-    return identify(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
+    return identify_any_length(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
 
 
 def _without(recording: Recording, view: View, model: CorrectedModel) -> Recording:

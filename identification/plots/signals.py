@@ -27,7 +27,7 @@ from identification.plots.style import (
 from identification.prepare import Prepared, joint_angle, torque_unit
 from identification.recording import Recording
 from identification.result import Trace
-from identification.simulate.closed_loop import Response, simulated_torque
+from identification.simulation.closed_loop import Response, simulated_torque
 from identification.views.predicted import Predicted
 
 

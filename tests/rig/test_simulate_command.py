@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.recording import Bench, Controller, Recording
-from identification.simulate.closed_loop import replay
+from identification.recording import Controller, Recording
+from identification.simulation.closed_loop import replay
 from rig.cli.entry import status
 
 FRICTION = {"J": 0.2, "Mc": 6.0, "Ms": 11.0, "omega_sf": 0.06, "sigma_2": 5.0}
@@ -34,9 +34,8 @@ def write_recording(path: Path, frequency: float) -> None:
     command = 0.35 * np.sin(2.0 * math.pi * frequency * time)
     loop = Controller("torque", 4000.0, 100.0)
     start = Recording(
-        "made",
-        {"time": time, "command": command, "angle": np.zeros(4001)},
-        Bench(),
+        name="made",
+        channels={"time": time, "command": command, "angle": np.zeros(4001)},
         controller=loop,
     )
     out = replay(start, FRICTION, 2.0)

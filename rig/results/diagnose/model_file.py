@@ -16,15 +16,11 @@ from identification.effects.model import COORDINATES, CorrectedModel, Curve
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, plain
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
 DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
-FIELDS = (
-    *("fit", "fits", "parameter_shift", "p_value", "location", "parameters", "alpha", "steps"),
-    "warnings",
-)
 
 
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
@@ -35,19 +31,11 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
     """
     return {
         **provenance.record(DIAGNOSE_SCHEMA),
-        "verdict": found.verdict.value,
-        "statement": found.statement,
-        **effects_record(found),
-        **{name: plain(getattr(found, name)) for name in FIELDS},
+        **found.to_dict(),
         "motion": dataset.recordings[0].bench.motion,
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
     }
-
-
-def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return what the corrected model adds to the nominal one: effects and empirical curve."""
-    return {"effects": plain(found.effects), "curve": plain(found.curve)}
 
 
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)

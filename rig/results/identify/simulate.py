@@ -15,7 +15,7 @@ from identification.estimate.bandwidth import choose_bandwidth
 from identification.plots.signals import predicted, simulated
 from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
-from identification.simulate.closed_loop import (
+from identification.simulation.closed_loop import (
     Response,
     Sums,
     compare,

@@ -1,0 +1,372 @@
+"""Predictions of a fitted model with 90 % bands: its response in a position loop or to a torque,
+and the torque that a recorded motion requires; where they leave what was recorded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from identification.effects import EFFECTS
+from identification.effects.model import CorrectedModel, views_for
+from identification.numerics.arrays import Array, BoolArray
+from identification.numerics.spread import CONFIDENCE, NO_SPREAD, Spread, quantile
+from identification.prepare import contact_moment, default_bandwidth, joint_angle
+from identification.recording import Recording, RecordingError
+from identification.simulation.closed_loop import (
+    OPEN_LOOP,
+    STEP_S,
+    Inputs,
+    Response,
+    body_of,
+    inputs_of,
+    loop_of,
+    simulate,
+)
+from identification.views.view import View
+
+Given = Literal["command", "torque", "motion"]
+SIGNALS = ("angle", "velocity", "torque")
+ROUNDS, STILL = 30, 1e-3
+"""Greatest number of simulations in which the torque of effects is found that depends on the motion
+it causes, and change of this torque, relative to its greatest, at which it counts as found.
+"""
+LEAST_SHARE = 0.05
+"""Least share of its value that a drawn parameter has which is positive by its nature."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model with what is known of its errors.
+
+    Attributes:
+        model: Nominal parameters, effects and curve.
+        covariance: Covariance of nominal parameters.
+        intervals: 90 % intervals of effects' parameters, as ``effect.name``.
+        noise: Standard deviation of what the model leaves of a measured signal, by its name.
+        ranges: Least and greatest value of ``angle``, ``velocity`` and ``moment`` in the recordings
+            that were fitted; empty if they are not known.
+        bandwidth_Hz: Bandwidth of the fit, or None for the default of a recording.
+    """
+
+    model: CorrectedModel
+    covariance: Spread = NO_SPREAD
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bandwidth_Hz: float | None = None
+
+    def changed(self, values: Mapping[str, float]) -> Fitted:
+        """Return the model with other values of some parameters, which then count as exact.
+
+        Args:
+            values: Nominal parameter, or ``effect.name``, to value.
+
+        Raises:
+            RecordingError: The model has no such parameter.
+        """
+        model = self.model
+        known = {*model.parameters} | {f"{e}.{n}" for e, own in model.effects.items() for n in own}
+        for name in values:
+            if name not in known:
+                listed = ", ".join(sorted(known))
+                raise RecordingError(f"values: {name!r} is no parameter of the model: {listed}")
+        names = [n for n in self.covariance.names if n not in values]
+        at = [self.covariance.names.index(n) for n in names]
+        kept = dataclasses.replace(
+            self.covariance, names=tuple(names), matrix=self.covariance.matrix[np.ix_(at, at)]
+        )
+        intervals = {n: ends for n, ends in self.intervals.items() if n not in values}
+        return dataclasses.replace(
+            self, model=_with(model, values), covariance=kept, intervals=intervals
+        )
+
+    def draws(self, count: int, rng: np.random.Generator) -> Iterator[CorrectedModel]:
+        """Yield models whose parameters are drawn from covariance and intervals."""
+        names, freedom = self.covariance.names, self.covariance.freedom
+        scale, vectors = np.linalg.eigh(self.covariance.matrix)
+        root = vectors * np.sqrt(np.maximum(scale, 0.0))
+        for _ in range(count):
+            tail = 1.0 if freedom == math.inf else math.sqrt(freedom / rng.chisquare(freedom))
+            step = tail * root @ rng.standard_normal(len(names))
+            drawn = {}
+            for name, change in zip(names, step, strict=True):
+                value = self.model.parameters[name]
+                drawn[name] = (
+                    value + change
+                    if name == "offset"
+                    else max(value + change, LEAST_SHARE * abs(value))
+                )
+            for name, (low, high) in self.intervals.items():
+                effect, _, own = name.partition(".")
+                deviation = 0.5 * (high - low) / quantile(math.inf)
+                value = 0.5 * (low + high) + deviation * rng.standard_normal()
+                drawn[name] = float(np.clip(value, *EFFECTS[effect].physical_range(own)))
+            yield _with(self.model, drawn)
+
+
+def _with(model: CorrectedModel, values: Mapping[str, float]) -> CorrectedModel:
+    effects = {
+        effect: {n: values.get(f"{effect}.{n}", v) for n, v in own.items()}
+        for effect, own in model.effects.items()
+    }
+    nominal = {n: values.get(n, v) for n, v in model.parameters.items()}
+    return dataclasses.replace(model, parameters=nominal, effects=effects)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A predicted response, shape (n,) each, SI, at the joint.
+
+    Attributes:
+        given: What was given: ``command``, ``torque`` or ``motion``.
+        time: s.
+        angle: rad.
+        velocity: rad/s.
+        torque: Torque of the drive, N m. Of a given motion it is that at the bandwidth of the fit,
+            and NaN at rest, where friction may have any value up to its limit.
+        low: Lower end of the 90 % band of a measured signal, by its name; of a motion that of the
+            torque alone.
+        high: Upper end of this band.
+        outside: Samples at which angle, velocity or load are outside the recordings of the fit.
+        warnings: What the response lacks, and which ranges it leaves.
+    """
+
+    given: Given
+    time: Array
+    angle: Array
+    velocity: Array
+    torque: Array
+    low: Mapping[str, Array]
+    high: Mapping[str, Array]
+    outside: BoolArray
+    warnings: tuple[str, ...] = ()
+
+
+def predict(
+    fitted: Fitted,
+    recording: Recording,
+    given: Given | None = None,
+    *,
+    draws: int = 100,
+    rng: np.random.Generator,
+) -> Simulation:
+    """Predict the response of a model to what a recording gives.
+
+    Args:
+        fitted: The model.
+        recording: Its ``command`` and ``controller`` give a position loop; its ``torque`` or
+            ``current`` drives the joint; or its ``angle`` or ``velocity`` is the motion whose
+            torque is predicted. A response starts from rest at the first angle, or without an
+            angle at the first command.
+        given: Which of these; None for the first that the recording has, but a torque only without
+            a motion.
+        draws: Number of parameter sets from which the band is made; 0 for the band of the noise
+            alone.
+        rng: Random generator of these draws.
+
+    Raises:
+        RecordingError: The recording does not have what is asked for.
+    """
+    channels = recording.channels
+    moves = bool({"angle", "motor_angle", "velocity"} & channels.keys())
+    if given is None:
+        looped = recording.controller is not None and "command" in channels
+        given = "command" if looped else "motion" if moves else "torque"
+    if given == "motion":
+        return _required(fitted, recording, draws, rng)
+    run = _loop(recording) if given == "command" else _driven(recording)
+    middle, disturbance, warnings = _with_effects(fitted, recording, run)
+    view = _view_of(fitted, recording, middle) if fitted.model.effects else None
+    others = []
+    for model in fitted.draws(draws, rng):
+        moved = disturbance if view is None else _disturbance(model, view, middle.time)
+        others.append(run(model, moved))
+    bands = {n: _band(getattr(middle, n), [getattr(o, n) for o in others]) for n in SIGNALS}
+    moment = contact_moment(recording, recording.time, middle.angle)
+    return _simulation(fitted, given, middle, bands, moment, warnings)
+
+
+Run = Callable[[CorrectedModel, Array], Response]
+"""Function that simulates a model whose joint has a disturbance torque, N m, shape (n,)."""
+
+
+def _loop(recording: Recording) -> Run:
+    """Return the simulation of the recording's position loop."""
+    inputs = inputs_of(recording)
+    assert recording.controller is not None  # otherwise `inputs_of` raises
+    loop = loop_of(recording.controller, recording.bench, recording.name)
+    measured = joint_angle(recording)
+    start = float((inputs.command if measured is None else measured)[0])
+    return lambda model, torque: _run(recording, model, inputs, loop, start, torque)
+
+
+def _driven(recording: Recording) -> Run:
+    """Return the simulation of the joint under the recording's torque."""
+    channels, ampere = recording.channels, recording.bench.ampere_torque
+    name = "torque" if "torque" in channels else "current"
+    if name not in channels:
+        raise RecordingError(
+            f"{recording.name}: a simulation needs a `command` channel with the `controller` that "
+            "follows it, a `torque` or `current` channel, or the motion whose torque is predicted"
+        )
+    drive = channels[name] * (1.0 if name == "torque" else ampere)
+    if name in recording.averaged:
+        drive = np.append(drive[1:], drive[-1:])  # the mean over the period that ends at a sample
+    n, measured = len(recording.time), joint_angle(recording)
+    start = 0.0 if measured is None else float(measured[0])
+    angle = np.full(n, start) if measured is None else measured
+    moment = contact_moment(recording, recording.time, angle)
+    inputs = Inputs(recording.time, np.zeros(n), np.ones(n), drive, moment)
+    return lambda model, torque: _run(recording, model, inputs, OPEN_LOOP, start, torque)
+
+
+def _run(
+    recording: Recording,
+    model: CorrectedModel,
+    inputs: Inputs,
+    loop: Array,
+    start: float,
+    disturbance: Array,
+) -> Response:
+    """Simulate one model; the drive's torque is that without the disturbance."""
+    per_output = loop[3]
+    fed = dataclasses.replace(inputs, added=inputs.added + disturbance / per_output)
+    body = body_of(model.parameters, recording, model.alpha)
+    found = simulate(body, loop, fed, start, 0.0, STEP_S)
+    return dataclasses.replace(found, torque=found.torque - disturbance)
+
+
+def _with_effects(
+    fitted: Fitted, recording: Recording, run: Run
+) -> tuple[Response, Array, tuple[str, ...]]:
+    """Return the response with the effects, their torque on the joint, and warnings.
+
+    The effects' torque depends on the motion that it changes; it is computed from the last
+    response, and the response with it, until it no longer changes (waveform relaxation).
+    """
+    model, nothing = fitted.model, np.zeros(len(recording.time))
+    found = run(model, nothing)
+    if not model.effects and model.curve is None:
+        return found, nothing, ()
+    acting = {r.effect.name for r in model.responses("torque")}
+    lost = [EFFECTS[name].name for name in model.effects if name not in acting]
+    warnings = [f"the response is without {', '.join(lost)}: they add no torque"] if lost else []
+    disturbance = nothing
+    for _ in range(ROUNDS):
+        before = disturbance
+        view = _view_of(fitted, recording, found)
+        disturbance = _disturbance(model, view, found.time)
+        found = run(model, disturbance)
+        change = float(np.max(np.abs(disturbance - before)))
+        if change <= STILL * float(np.max(np.abs(disturbance), initial=0.0)):
+            return found, disturbance, tuple(warnings)
+    warnings.append(
+        "the torque of the effects and the motion do not settle on each other (last change "
+        f"{change:.2g} N m): near rest the response is approximate"
+    )
+    return found, disturbance, tuple(warnings)
+
+
+def _view_of(fitted: Fitted, recording: Recording, found: Response) -> View:
+    """Return the signals of a response as those of a recording."""
+    bench = recording.bench
+    own = {
+        "time": found.time,
+        "angle": found.angle,
+        "motor_angle": bench.gear_ratio * found.angle,
+        "torque": found.torque,
+        "current": found.torque / bench.ampere_torque,
+    }
+    beside = {
+        n: v
+        for n, v in recording.channels.items()
+        if n in ("supply_voltage", "temperature", "load_force", "pressure", "command")
+    }
+    made = dataclasses.replace(recording, channels={**beside, **own}, averaged=frozenset())
+    return views_for([made], default_bandwidth(made), fitted.model)[0]
+
+
+def _disturbance(model: CorrectedModel, view: View, time: Array) -> Array:
+    """Return the torque on the joint by effects and curve, N m, at ``time``."""
+    plain = dataclasses.replace(model, effects={}, curve=None)
+    added = (model.torque(view) - plain.torque(view)) - (model.drive(view) - plain.drive(view))
+    return np.asarray(-np.interp(time, view.time, added))
+
+
+def _required(
+    fitted: Fitted, recording: Recording, draws: int, rng: np.random.Generator
+) -> Simulation:
+    """Return the torque that the recorded motion requires, at the bandwidth of the fit."""
+    if not {"torque", "current", "voltage"} & recording.channels.keys():
+        time = recording.time
+        recording = dataclasses.replace(
+            recording, channels={**recording.channels, "torque": np.zeros(len(time))}
+        )
+    bandwidth = fitted.bandwidth_Hz or default_bandwidth(recording)
+    view = views_for([recording], bandwidth, fitted.model)[0]
+
+    def torque(model: CorrectedModel) -> Array:
+        asked = model.torque(view) - view.known + view.transmitted - model.drive(view)
+        return np.where(view.moving, view.low_pass(asked), np.nan)
+
+    middle = Response(
+        view.kept_times,
+        view.low_pass(view.angle),
+        view.low_pass(view.velocity),
+        torque(fitted.model),
+    )
+    band = _band(middle.torque, [torque(model) for model in fitted.draws(draws, rng)])
+    return _simulation(fitted, "motion", middle, {"torque": band}, view.low_pass(view.moment), ())
+
+
+def _band(middle: Array, others: list[Array]) -> tuple[Array, Array]:
+    """Return the distances of the band's ends below and above the middle, from other draws."""
+    if not others:
+        return np.zeros(len(middle)), np.zeros(len(middle))
+    tail = 0.5 - 0.5 * CONFIDENCE
+    low, high = np.quantile(np.stack(others), [tail, 1.0 - tail], axis=0)
+    return np.maximum(middle - low, 0.0), np.maximum(high - middle, 0.0)
+
+
+def _simulation(
+    fitted: Fitted,
+    given: Given,
+    middle: Response,
+    bands: Mapping[str, tuple[Array, Array]],
+    moment: Array,
+    warnings: tuple[str, ...],
+) -> Simulation:
+    """Return the response with bands of measured signals, and where it leaves the recordings."""
+    low, high = {}, {}
+    for name, (below, above) in bands.items():
+        value, noise = getattr(middle, name), quantile(math.inf) * fitted.noise.get(name, 0.0)
+        low[name], high[name] = value - np.hypot(below, noise), value + np.hypot(above, noise)
+    outside = np.zeros(len(middle.time), dtype=bool)
+    notes = list(warnings)
+    signals = {"angle": middle.angle, "velocity": middle.velocity, "moment": moment}
+    for name, (least, most) in fitted.ranges.items():
+        edge = 1e-3 * max(abs(least), abs(most))
+        beyond = (signals[name] < least - edge) | (signals[name] > most + edge)
+        if np.any(beyond):
+            outside |= beyond
+            notes.append(
+                f"{name} is from {np.min(signals[name]):.3g} to {np.max(signals[name]):.3g}, but "
+                f"only {least:.3g} to {most:.3g} was recorded: beyond, the model is extrapolated"
+            )
+    return Simulation(
+        given,
+        middle.time,
+        middle.angle,
+        middle.velocity,
+        middle.torque,
+        low,
+        high,
+        outside,
+        tuple(notes),
+    )
