@@ -143,8 +143,8 @@ def simulate(
     position loop that follows a command, ``Recording(t, torque=u)`` a joint that a torque drives.
 
     Args:
-        result: Result of :func:`identify` or :func:`diagnose`, a corrected model, or nominal
-            parameters by name, SI.
+        result: Result of :func:`identify` or :func:`diagnose`, a corrected model, or parameters by
+            name, SI, those of effects as ``effect.name``.
         recording: What is given to the model, and its loads.
         values: Other values of some parameters: ``{"J": 0.3}`` for another inertia.
         given: ``command``: the position loop is simulated; ``torque``: the joint is driven by the
@@ -278,9 +278,16 @@ def fitted_of(result: Result) -> Fitted:
         return Fitted(
             result.model,
             result.covariance,
-            {n: ends for n, ends in result.intervals.items() if "." in n},
             {"torque": fit.final_rms} if fit.equation == "torque" else {},
             result.ranges,
             fit.bandwidth_Hz,
         )
-    return Fitted(result if isinstance(result, CorrectedModel) else CorrectedModel(dict(result)))
+    if isinstance(result, CorrectedModel):
+        return Fitted(result)
+    effects: dict[str, dict[str, float]] = {}
+    for name, value in result.items():
+        effect, dot, own = name.partition(".")
+        if dot and effect not in EFFECTS:
+            raise RecordingError(f"{effect!r} is no effect of the catalogue")
+        effects.setdefault(effect if dot else "", {})[own if dot else name] = float(value)
+    return Fitted(CorrectedModel(effects.pop("", {}), effects=effects))

@@ -209,40 +209,25 @@ class Model:
 
         Raises:
             RecordingError: A name is unknown, a parameter is both fixed and bounded or known with
-                an uncertainty, or a bound does not leave a range.
+                an uncertainty, or a bound or an uncertainty is none.
         """
+        wrong = []
         if self.friction not in LADDER:
-            raise RecordingError(
-                f"model.friction: must be {', '.join(LADDER)} (got {self.friction!r})"
-            )
-        for key, given in (
-            ("fixed", self.fixed),
-            ("priors", self.priors),
-            ("bounds", self.bounds),
-        ):
-            for name in given:
-                if name not in UNITS_ROTARY:
-                    raise RecordingError(
-                        f"model.{key}: unknown parameter {name!r}; the parameters are "
-                        f"{', '.join(UNITS_ROTARY)}"
-                    )
-                if key != "fixed" and name in self.fixed:
-                    raise RecordingError(
-                        f"model.{key}: {name} is fixed at {self.fixed[name]:g} and cannot have "
-                        f"{key} as well; remove one of the two"
-                    )
+            wrong.append(f"friction must be {', '.join(LADDER)} (got {self.friction!r})")
+        unknown = {*self.fixed, *self.priors, *self.bounds} - UNITS_ROTARY.keys()
+        if unknown:
+            known = ", ".join(UNITS_ROTARY)
+            wrong.append(f"unknown {', '.join(sorted(unknown))}; the parameters are {known}")
+        if both := self.fixed.keys() & {*self.priors, *self.bounds}:
+            wrong.append(f"{', '.join(sorted(both))}: either fixed, or bounded or with a prior")
         for name, (low, high) in self.bounds.items():
             if not low < high:
-                raise RecordingError(
-                    f"model.bounds: the lower bound of {name} must be below the upper bound (got "
-                    f"{low:g}, {high:g}); fix a parameter that has only one value"
-                )
+                wrong.append(f"bounds of {name}: the lower must be below the upper ({low}, {high})")
         for name, (_, deviation) in self.priors.items():
             if not 0.0 < deviation < math.inf:
-                raise RecordingError(
-                    f"model.priors: the standard deviation of {name} must be above 0 (got "
-                    f"{deviation:g})"
-                )
+                wrong.append(f"prior of {name}: its deviation must be above 0 (got {deviation})")
+        if wrong:
+            raise RecordingError("model: " + "; ".join(wrong))
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -352,40 +337,8 @@ class Recording:
         start: float | None = None,
         uncertainties: Mapping[str, float] | None = None,
     ) -> None:
-        """Check shapes, names and time.
-
-        Args:
-            time: s, or stamps of type ``datetime64``, which count from the first.
-            angle: Angle of the joint after the gear, rad; on a linear bench its position, m.
-            current: Current of the motor, A.
-            torque: Torque of the drive at the joint, N m; on a linear bench its force, N.
-            voltage: Voltage of the motor, V.
-            supply_voltage: V.
-            motor_angle: Angle of the motor's shaft, rad.
-            velocity: Velocity of the joint, rad/s.
-            command: Commanded angle of the joint, rad.
-            feedforward: Signal added to the controller's output, in the unit of the output.
-            load_force: Force on the valve, N.
-            temperature: deg C.
-            pressure: Pa.
-            enabled: 1 while the power stage is on, else 0.
-            channels: Table of further signals by the same names.
-            name: As the attribute, like all arguments below.
-            bench: Default: a rotary machine without gear whose torque constant is not known.
-            stage: Default: ``loaded`` with a weight, else ``unloaded``.
-            weight_mass: kg.
-            pendulum: Known weight.
-            hoist: Known mass.
-            constant_torque: N m.
-            controller: Position loop.
-            role: ``fit``, ``validate`` or ``unused``.
-            averaged: Names of channels.
-            source: File.
-            sha256: Digest.
-            notes: Statements.
-            partial: Whether the run stopped early.
-            start: s.
-            uncertainties: Standard deviations.
+        """Take signals by the names and in the units of :data:`CHANNELS`, or as a table
+        ``channels``; the other arguments are the attributes.
 
         Raises:
             RecordingError: A channel is unknown, its length differs from that of the time, or time

@@ -44,6 +44,7 @@ from identification.diagnosis.scored import (
     Estimate,
     Scores,
     constants_of,
+    covariance_of,
     curve_of,
     fits_of,
     grown,
@@ -156,7 +157,9 @@ def diagnose(
         ),
         seconds=perf_counter() - clock,
         alpha=shown.after.model.alpha,
-        covariance=shown.constants.covariance,
+        covariance=covariance_of(dataset, shown.after, shown.effects, bandwidth, shown.constants)
+        if shown.effects
+        else shown.constants.covariance,
         ranges=spanned([tuple(map(v.low_pass, (v.angle, v.velocity, v.moment))) for v in here]),
         model=shown.after.model,
     )

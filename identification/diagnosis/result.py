@@ -214,8 +214,9 @@ class Diagnosis:
         warnings: Warnings on the recordings and on the result.
         seconds: Computing time, s.
         alpha: Stribeck exponent.
-        covariance: Covariance of the nominal parameters beside the effects, if the default
-            estimator fitted them; else without a name.
+        covariance: Covariance of the parameters of the corrected model, those of effects as
+            ``effect.name`` with the variances of their intervals; without effects that of the
+            default estimator.
         ranges: Least and greatest ``angle``, ``velocity`` and ``moment`` of the load in the
             recordings that were fitted, at the bandwidth of the fit.
         model: The corrected model, for predictions and simulations; None of a gas generator.
@@ -243,27 +244,25 @@ class Diagnosis:
 
     @property
     def values(self) -> dict[str, float]:
-        """Name to value of the nominal parameters, and of those of effects as ``effect.name``."""
-        effects = {
-            f"{effect.name}.{name}": estimate.value
-            for effect in self.effects
-            for name, estimate in effect.parameters.items()
+        """Name to value of the identifiable nominal parameters, and of those of the effects as
+        ``effect.name``.
+        """
+        known = {n: v for n, v in self.parameters.items() if n in self.parameter_shift}
+        nominal = {n: v for n, v in known.items() if self.parameter_shift[n].after is not None}
+        return {
+            **nominal,
+            **{f"{e.name}.{n}": own.value for e in self.effects for n, own in e.parameters.items()},
         }
-        return {**self.parameters, **effects}
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Name to 90 % interval, of the names of ``values`` that have one."""
-        nominal = {
-            name: (self.parameters[name] - half, self.parameters[name] + half)
-            for name in self.covariance.names
-            if name in self.parameters
-            for half in [self.covariance.half_width(name)]
-        }
+        half = {n: self.covariance.half_width(n) for n in self.covariance.names}
+        nominal = {n: (v - half[n], v + half[n]) for n, v in self.values.items() if n in half}
         effects = {
-            f"{effect.name}.{name}": (estimate.low, estimate.high)
-            for effect in self.effects
-            for name, estimate in effect.parameters.items()
+            f"{e.name}.{n}": (own.low, own.high)
+            for e in self.effects
+            for n, own in e.parameters.items()
         }
         return {**nominal, **effects}
 

@@ -104,6 +104,30 @@ class CorrectedModel:
         """Nominal values on which the regressors of the effects depend."""
         return self._fitted[0]
 
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of all parameters, those of effects as ``effect.name``."""
+        effects = {f"{e}.{n}": v for e, own in self.effects.items() for n, v in own.items()}
+        return {**self.parameters, **effects}
+
+    def changed(self, values: Mapping[str, float]) -> CorrectedModel:
+        """Return the model with other values of some parameters, by the names of ``values``.
+
+        Raises:
+            RecordingError: The model has no such parameter.
+        """
+        if unknown := values.keys() - self.values.keys():
+            raise RecordingError(
+                f"no parameter of the model: {', '.join(sorted(unknown))}; it has "
+                f"{', '.join(self.values)}"
+            )
+        effects = {
+            e: {n: values.get(f"{e}.{n}", v) for n, v in own.items()}
+            for e, own in self.effects.items()
+        }
+        nominal = {n: values.get(n, v) for n, v in self.parameters.items()}
+        return dataclasses.replace(self, parameters=nominal, effects=effects)
+
     def numbers(self, recording: Recording) -> dict[str, float | list[float]]:
         """Return the nominal parameters, the bench constants and the values of effects on which
         other effects depend, by the names of the exported file; unknown values are 0.

@@ -46,8 +46,7 @@ class Fitted:
 
     Attributes:
         model: Nominal parameters, effects and curve.
-        covariance: Covariance of nominal parameters.
-        intervals: 90 % intervals of effects' parameters, as ``effect.name``.
+        covariance: Covariance of its parameters.
         noise: Standard deviation of what the model leaves of a measured signal, by its name.
         ranges: Least and greatest value of ``angle``, ``velocity`` and ``moment`` in the recordings
             that were fitted; empty if they are not known.
@@ -56,7 +55,6 @@ class Fitted:
 
     model: CorrectedModel
     covariance: Spread = NO_SPREAD
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     bandwidth_Hz: float | None = None
@@ -70,53 +68,32 @@ class Fitted:
         Raises:
             RecordingError: The model has no such parameter.
         """
-        model = self.model
-        known = {*model.parameters} | {f"{e}.{n}" for e, own in model.effects.items() for n in own}
-        for name in values:
-            if name not in known:
-                listed = ", ".join(sorted(known))
-                raise RecordingError(f"values: {name!r} is no parameter of the model: {listed}")
         names = [n for n in self.covariance.names if n not in values]
         at = [self.covariance.names.index(n) for n in names]
         kept = dataclasses.replace(
             self.covariance, names=tuple(names), matrix=self.covariance.matrix[np.ix_(at, at)]
         )
-        intervals = {n: ends for n, ends in self.intervals.items() if n not in values}
-        return dataclasses.replace(
-            self, model=_with(model, values), covariance=kept, intervals=intervals
-        )
+        return dataclasses.replace(self, model=self.model.changed(values), covariance=kept)
 
     def draws(self, count: int, rng: np.random.Generator) -> Iterator[CorrectedModel]:
-        """Yield models whose parameters are drawn from covariance and intervals."""
+        """Yield models whose parameters are drawn from the covariance."""
         names, freedom = self.covariance.names, self.covariance.freedom
         scale, vectors = np.linalg.eigh(self.covariance.matrix)
         root = vectors * np.sqrt(np.maximum(scale, 0.0))
+        middle = self.model.values
         for _ in range(count):
             tail = 1.0 if freedom == math.inf else math.sqrt(freedom / rng.chisquare(freedom))
             step = tail * root @ rng.standard_normal(len(names))
             drawn = {}
             for name, change in zip(names, step, strict=True):
-                value = self.model.parameters[name]
-                drawn[name] = (
-                    value + change
-                    if name == "offset"
-                    else max(value + change, LEAST_SHARE * abs(value))
-                )
-            for name, (low, high) in self.intervals.items():
-                effect, _, own = name.partition(".")
-                deviation = 0.5 * (high - low) / quantile(math.inf)
-                value = 0.5 * (low + high) + deviation * rng.standard_normal()
-                drawn[name] = float(np.clip(value, *EFFECTS[effect].physical_range(own)))
-            yield _with(self.model, drawn)
-
-
-def _with(model: CorrectedModel, values: Mapping[str, float]) -> CorrectedModel:
-    effects = {
-        effect: {n: values.get(f"{effect}.{n}", v) for n, v in own.items()}
-        for effect, own in model.effects.items()
-    }
-    nominal = {n: values.get(n, v) for n, v in model.parameters.items()}
-    return dataclasses.replace(model, parameters=nominal, effects=effects)
+                effect, _, own = name.rpartition(".")
+                least, most = LEAST_SHARE * abs(middle[name]), math.inf
+                if effect:
+                    least, most = EFFECTS[effect].physical_range(own)
+                elif name == "offset":
+                    least = -math.inf
+                drawn[name] = min(max(middle[name] + change, least), most)
+            yield self.model.changed(drawn)
 
 
 @dataclass(frozen=True)
@@ -135,6 +112,8 @@ class Simulation:
         high: Upper end of this band.
         outside: Samples at which angle, velocity or load are outside the recordings of the fit.
         warnings: What the response lacks, and which ranges it leaves.
+        measured: The measured torque of a given motion at the bandwidth of ``torque``; None if it
+            was not measured.
     """
 
     given: Given
@@ -146,6 +125,7 @@ class Simulation:
     high: Mapping[str, Array]
     outside: BoolArray
     warnings: tuple[str, ...] = ()
+    measured: Array | None = None
 
 
 def predict(
@@ -303,26 +283,26 @@ def _required(
     fitted: Fitted, recording: Recording, draws: int, rng: np.random.Generator
 ) -> Simulation:
     """Return the torque that the recorded motion requires, at the bandwidth of the fit."""
-    if not {"torque", "current", "voltage"} & recording.channels.keys():
-        time = recording.time
-        recording = dataclasses.replace(
-            recording, channels={**recording.channels, "torque": np.zeros(len(time))}
-        )
+    known = {"torque", "current", "voltage"} & recording.channels.keys()
+    if not known:
+        nothing = {"torque": np.zeros(len(recording.time))}
+        recording = dataclasses.replace(recording, channels={**recording.channels, **nothing})
     bandwidth = fitted.bandwidth_Hz or default_bandwidth(recording)
     view = views_for([recording], bandwidth, fitted.model)[0]
 
-    def torque(model: CorrectedModel) -> Array:
-        asked = model.torque(view) - view.known + view.transmitted - model.drive(view)
-        return np.where(view.moving, view.low_pass(asked), np.nan)
+    def steady(series: Array) -> Array:
+        return np.where(view.moving, view.low_pass(series), np.nan)
 
-    middle = Response(
-        view.kept_times,
-        view.low_pass(view.angle),
-        view.low_pass(view.velocity),
-        torque(fitted.model),
-    )
+    def torque(model: CorrectedModel) -> Array:
+        # What effects change in the drive is measured too.
+        return steady(model.torque(view) - view.known + view.transmitted - model.drive(view))
+
+    motion = view.low_pass(view.angle), view.low_pass(view.velocity)
+    middle = Response(view.kept_times, *motion, torque(fitted.model))
     band = _band(middle.torque, [torque(model) for model in fitted.draws(draws, rng)])
-    return _simulation(fitted, "motion", middle, {"torque": band}, view.low_pass(view.moment), ())
+    moment = view.low_pass(view.moment)
+    made = _simulation(fitted, "motion", middle, {"torque": band}, moment, ())
+    return dataclasses.replace(made, measured=steady(view.transmitted)) if known else made
 
 
 def _band(middle: Array, others: list[Array]) -> tuple[Array, Array]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import doctest
 import json
 import math
+import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +20,13 @@ import pytest
 import identification as lr
 from identification.numerics.spread import quantile
 
-from .synthetic import LOAD, SYSTEM, TRUTH, sine
+from .synthetic import BENCH, LOAD, SYSTEM, TRUTH, sine
 
 RATE = 250.0
+DOCS = Path(__file__).parents[2] / "docs"
+TIME = np.arange(3000) / 500.0
+LOOP = lr.Controller("torque", 4000.0, 100.0)
+SWING = lr.Recording(TIME, command=0.3 * np.sin(2.0 * TIME), controller=LOOP, bench=BENCH)
 
 
 def noisy(seed: int = 0, **given: Any) -> lr.Recording:
@@ -39,6 +45,28 @@ def test_the_examples_of_the_docstrings_hold(module: str) -> None:
     done = doctest.testmod(import_module(f"identification.{module}"))
     assert done.attempted
     assert not done.failed
+
+
+def run_page(page: str) -> None:
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    plain = re.sub(r"^```.*$", "", text, flags=re.MULTILINE)
+    examples = doctest.DocTestParser().get_doctest(plain, {}, page, page, 0)
+    runner = doctest.DocTestRunner()
+    runner.run(examples)
+    assert runner.tries
+    assert not runner.failures
+
+
+def test_the_guide_is_a_session_that_runs() -> None:
+    run_page("guides/library")
+
+
+@pytest.mark.proof
+def test_the_tutorial_goes_from_a_csv_to_a_corrected_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run_page("tutorials/python")
 
 
 def test_the_import_is_quick_and_loads_nothing_else() -> None:
@@ -193,3 +221,109 @@ def test_an_estimate_beyond_its_bound_is_set_to_it() -> None:
     far = lr.identify(noisy(), lr.Model(bounds={"J": (0.0, 0.1)}), rng=0)
     assert far.intervals["J"] == (0.1, 0.1)
     assert any("J is at its bound" in w for w in far.warnings)
+
+
+def test_another_inertia_takes_another_torque() -> None:
+    one, four = (lr.simulate(TRUTH, SWING, values={"J": j}, draws=0) for j in (0.2, 0.8))
+    steady = (np.abs(one.velocity) > 0.3) & (TIME > 0.5)
+    more = (four.torque - one.torque)[steady]
+    assert more == pytest.approx(-0.6 * 4.0 * one.angle[steady], abs=0.1)
+    with pytest.raises(lr.RecordingError, match="mass"):
+        lr.simulate(TRUTH, SWING, values={"mass": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "torque"),
+    [
+        (
+            "gravity_imbalance",
+            {"torque_Nm": 2.0, "zero_rad": 0.3},
+            lambda s: 2.0 * np.sin(s.angle - 0.3),
+        ),
+        ("asymmetric_coulomb", {"torque_Nm": 0.4}, lambda s: 0.4),
+        (
+            "quadratic_drag",
+            {"coefficient_Nms2_rad2": 3.0},
+            lambda s: 3.0 * s.velocity * np.abs(s.velocity),
+        ),
+        ("current_offset", {"current_A": 0.3}, lambda s: 0.9),
+    ],
+)
+def test_effects_act_in_the_loop(
+    effect: str, parameters: dict[str, float], torque: Callable[[Any], Any]
+) -> None:
+    given = {f"{effect}.{name}": value for name, value in parameters.items()}
+    plain = lr.simulate(TRUTH, SWING, draws=0)
+    found = lr.simulate({**TRUTH, **given}, SWING, draws=0)
+    assert not found.warnings
+    moving = (np.abs(found.velocity) > 0.2) & (TIME > 0.3)
+    added = (found.torque - plain.torque)[moving]
+    assert added == pytest.approx(np.broadcast_to(torque(found), TIME.shape)[moving], abs=0.05)
+
+
+def test_an_effect_that_adds_no_torque_is_said_to_be_left_out() -> None:
+    found = lr.simulate({**TRUTH, "backlash.gap_rad": 0.004}, SWING, draws=0)
+    assert any("backlash" in w for w in found.warnings)
+
+
+def test_what_is_given_decides_what_is_predicted(found: Any) -> None:
+    looped = lr.simulate(found, SWING, rng=0)
+    made = lr.Recording(TIME, looped.angle, torque=looped.torque, bench=BENCH)
+    required = lr.simulate(found, made, rng=0)
+    assert (looped.given, required.given) == ("command", "motion")
+    moving = np.isfinite(required.torque)
+    assert required.torque[moving] == pytest.approx(required.measured[moving], abs=0.05)
+    push = lr.Recording(TIME, torque=looped.torque, bench=BENCH)
+    driven = lr.simulate(found, push, rng=0)
+    assert driven.given == "torque"
+    # After a reversal a torque alone does not reproduce a motion with stick and slip.
+    before = TIME < 0.7
+    assert driven.angle[before] == pytest.approx(looped.angle[before], abs=1e-3)
+    forced = lr.simulate(found, made, given="torque", rng=0)
+    assert forced.angle == pytest.approx(driven.angle, abs=1e-9)
+    with pytest.raises(lr.RecordingError, match="controller"):
+        lr.simulate(found, made, given="command")
+
+
+def test_bands_hold_what_is_measured_and_grow_with_the_uncertainty(found: Any) -> None:
+    inside = []
+    for seed in range(5, 11):
+        other = noisy(seed, frequency=0.15, amplitude=0.3, weight=30.6 * (seed % 2))
+        made = lr.simulate(found, other, rng=seed)
+        assert not np.any(made.outside)
+        moving = np.isfinite(made.torque)
+        low, high = (ends["torque"][moving] for ends in (made.low, made.high))
+        inside.append(np.mean((low <= made.measured[moving]) & (made.measured[moving] <= high)))
+    assert 0.85 <= float(np.mean(inside)) <= 0.97
+    less = lr.simulate(found, other, values=dict(found.values), rng=0)
+    moving = np.isfinite(less.torque)
+    width = [np.mean((s.high["torque"] - s.low["torque"])[moving]) for s in (less, made)]
+    assert width[0] == pytest.approx(2.0 * 1.645 * found.fit.train_rms, rel=1e-3)
+    assert width[1] > width[0]
+
+
+def test_what_was_not_recorded_is_marked(found: Any) -> None:
+    fast = lr.simulate(found, noisy(3, frequency=0.4), rng=0)
+    most = found.ranges["velocity"][1]
+    assert np.any(fast.outside)
+    np.testing.assert_array_equal(fast.outside, np.abs(fast.velocity) > 1.001 * most)
+    assert any(w.startswith("velocity") for w in fast.warnings)
+    heavy = lr.simulate(found, noisy(3, weight=60.0), rng=0)
+    assert np.all(heavy.outside)
+
+
+def test_a_plan_says_what_an_experiment_pins() -> None:
+    time = np.arange(0.0, 10.0, 0.001)
+    short, long = (
+        lr.plan(
+            TRUTH,
+            lr.Recording(time[:n], command=0.35 * np.sin(1.3 * time[:n]), bench=BENCH),
+            torque_noise=0.05,
+            joint_step=1.5e-5,
+        )
+        for n in (5000, 10000)
+    )
+    assert {*long.half_widths} == {*SYSTEM}
+    assert long.half_widths["Mc"] < short.half_widths["Mc"] < 0.05
+    with pytest.raises(lr.RecordingError, match="torque_noise"):
+        lr.plan(TRUTH, SWING)
