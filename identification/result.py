@@ -318,9 +318,9 @@ class Identification:
         known_constants: Constants given with an uncertainty. The intervals of ``parameters``
             include this uncertainty; profile likelihoods and bootstrap do not.
         priors: Prior values that were combined with the estimates from the recordings.
-        covariance: Covariance of the fitted parameters whose variance is finite, which the
-            intervals of ``parameters`` are made from, with that of known constants, priors and
-            unmodelled torque; without a name if the method has none.
+        covariance: Covariance of the identifiable parameters that were fitted, from which their
+            intervals are made, with that of known constants, priors and unmodelled torque; without
+            a name if the method has none.
         ranges: Least and greatest ``angle``, ``velocity`` and ``moment`` of the load in the
             recordings that were fitted, at the bandwidth of the fit.
     """

@@ -68,11 +68,7 @@ class Fitted:
         Raises:
             RecordingError: The model has no such parameter.
         """
-        names = [n for n in self.covariance.names if n not in values]
-        at = [self.covariance.names.index(n) for n in names]
-        kept = dataclasses.replace(
-            self.covariance, names=tuple(names), matrix=self.covariance.matrix[np.ix_(at, at)]
-        )
+        kept = self.covariance.only([n for n in self.covariance.names if n not in values])
         return dataclasses.replace(self, model=self.model.changed(values), covariance=kept)
 
     def draws(self, count: int, rng: np.random.Generator) -> Iterator[CorrectedModel]:

@@ -167,22 +167,23 @@ def identification(
     noise_alone = with_priors(found.values, with_constants(found.spread, constants), model.priors)
     if priors:
         fit, fits = printed_fit(every, cut, values, model.alpha)
+    # The floor is the bound for the recordings alone, without priors.
+    table = widened(
+        parameter_table(
+            active,
+            values,
+            noise_alone[1],
+            model,
+            {} if priors else found.floors,
+            found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
+        ),
+        spread,
+    )
     return Identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        # The floor is the bound for the recordings alone, without priors.
-        parameters=widened(
-            parameter_table(
-                active,
-                values,
-                noise_alone[1],
-                model,
-                {} if priors else found.floors,
-                found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
-            ),
-            spread,
-        ),
+        parameters=table,
         fit=fit,
         stages=found.stages,
         fitted=dict(values),
@@ -195,7 +196,7 @@ def identification(
         warnings=(*found.warnings, *doubts),
         known_constants=constants,
         priors=priors,
-        covariance=spread.determined(),
+        covariance=spread.only([n for n, p in table.items() if p.value is not None]),
         ranges=spanned([(p.angle, p.velocity, p.moment) for p in active]),
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording=fits,

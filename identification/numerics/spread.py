@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,12 +42,11 @@ class Spread:
         deviation = np.sqrt(np.diag(self.matrix))
         return np.asarray(self.matrix / np.outer(deviation, deviation))
 
-    def determined(self) -> Spread:
-        """Return the covariance of the parameters whose variance is finite and above 0."""
-        variance = np.diag(self.matrix)
-        kept = np.flatnonzero((variance > 0.0) & np.isfinite(variance))
-        names = tuple(self.names[k] for k in kept)
-        return replace(self, names=names, matrix=self.matrix[np.ix_(kept, kept)])
+    def only(self, names: Collection[str]) -> Spread:
+        """Return the covariance of those of its parameters that are among ``names``."""
+        kept = [k for k, name in enumerate(self.names) if name in names]
+        left = tuple(self.names[k] for k in kept)
+        return replace(self, names=left, matrix=self.matrix[np.ix_(kept, kept)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return names, matrix and degrees of freedom, None if infinite, as values for JSON."""

@@ -13,6 +13,8 @@ from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
 from identification.effects.model import COORDINATES, CorrectedModel, Curve
+from identification.effects.prediction import Fitted
+from identification.numerics.spread import Spread
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
@@ -114,6 +116,29 @@ def model_of(
             f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})"
         )
     return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
+
+
+def fitted_of(record: Mapping[str, Any], model: CorrectedModel, unit: str) -> Fitted | None:
+    """Return a model with the covariance, torque error and ranges of its result file; None if the
+    file has no covariance, or no torque error in this unit.
+
+    Raises:
+        KeyError: A field is missing.
+        ValueError: A field has no number, or the covariance another shape than its names.
+    """
+    given, found = record.get("covariance"), [*record.get("fits", ()), record.get("fit", {})]
+    errors = [f for f in found if (f.get("equation", "torque"), f.get("unit")) == ("torque", unit)]
+    if not given or not given["names"] or not errors:
+        return None
+    names = [str(n) for n in given["names"] if n in model.values]
+    size = len(given["names"])
+    at = [given["names"].index(n) for n in names]
+    matrix = np.array(given["matrix"], dtype=float).reshape(size, size)[np.ix_(at, at)]
+    freedom = math.inf if given["freedom"] is None else float(given["freedom"])
+    noise = errors[0]["final_rms"] if "final_rms" in errors[0] else errors[0]["train_rms"]
+    ranges = {n: (float(low), float(high)) for n, (low, high) in record["ranges"].items()}
+    spread = Spread(tuple(names), matrix, freedom)
+    return Fitted(model, spread, {"torque": float(noise)}, ranges, errors[0]["bandwidth_Hz"])
 
 
 def _effect(
