@@ -16,22 +16,15 @@ from identification.effects import EFFECTS
 from identification.effects.model import CorrectedModel, views_for
 from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.spread import CONFIDENCE, NO_SPREAD, Spread, quantile
-from identification.prepare import contact_moment, default_bandwidth, joint_angle
-from identification.recording import Recording, RecordingError
-from identification.simulation.closed_loop import (
-    OPEN_LOOP,
-    STEP_S,
-    Inputs,
-    Response,
-    body_of,
-    inputs_of,
-    loop_of,
-    simulate,
-)
+from identification.prepare import contact_moment, default_bandwidth
+from identification.recording import Recording
+from identification.simulation.closed_loop import Response, replay
 from identification.views.view import View
 
 Given = Literal["command", "torque", "motion"]
 SIGNALS = ("angle", "velocity", "torque")
+KEPT = frozenset({"supply_voltage", "temperature", "load_force", "pressure", "command"})
+"""Channels of a recording that its simulated response has too."""
 ROUNDS, STILL = 30, 1e-3
 """Greatest number of simulations in which the torque of effects is found that depends on the motion
 it causes, and change of this torque, relative to its greatest, at which it counts as found.
@@ -60,14 +53,7 @@ class Fitted:
     bandwidth_Hz: float | None = None
 
     def changed(self, values: Mapping[str, float]) -> Fitted:
-        """Return the model with other values of some parameters, which then count as exact.
-
-        Args:
-            values: Nominal parameter, or ``effect.name``, to value.
-
-        Raises:
-            RecordingError: The model has no such parameter.
-        """
+        """Return the model with other values of some parameters, which then count as exact."""
         kept = self.covariance.only([n for n in self.covariance.names if n not in values])
         return dataclasses.replace(self, model=self.model.changed(values), covariance=kept)
 
@@ -156,100 +142,55 @@ def predict(
         given = "command" if looped else "motion" if moves else "torque"
     if given == "motion":
         return _required(fitted, recording, draws, rng)
-    run = _loop(recording) if given == "command" else _driven(recording)
-    middle, disturbance, warnings = _with_effects(fitted, recording, run)
-    view = _view_of(fitted, recording, middle) if fitted.model.effects else None
-    others = []
-    for model in fitted.draws(draws, rng):
-        moved = disturbance if view is None else _disturbance(model, view, middle.time)
-        others.append(run(model, moved))
+
+    def run(model: CorrectedModel, disturbance: Array | float = 0.0) -> Response:
+        driven = given == "torque"
+        return replay(
+            recording, model.parameters, model.alpha, driven=driven, disturbance=disturbance
+        )
+
+    middle, disturbance, warnings = _with_effects(fitted.model, recording, run)
+    view = _view_of(fitted.model, recording, middle) if fitted.model.effects else None
+    others = [
+        run(model, disturbance if view is None else _disturbance(model, view, middle.time))
+        for model in fitted.draws(draws, rng)
+    ]
     bands = {n: _band(getattr(middle, n), [getattr(o, n) for o in others]) for n in SIGNALS}
     moment = contact_moment(recording, recording.time, middle.angle)
     return _simulation(fitted, given, middle, bands, moment, warnings)
 
 
-Run = Callable[[CorrectedModel, Array], Response]
-"""Function that simulates a model whose joint has a disturbance torque, N m, shape (n,)."""
-
-
-def _loop(recording: Recording) -> Run:
-    """Return the simulation of the recording's position loop."""
-    inputs = inputs_of(recording)
-    assert recording.controller is not None  # otherwise `inputs_of` raises
-    loop = loop_of(recording.controller, recording.bench, recording.name)
-    measured = joint_angle(recording)
-    start = float((inputs.command if measured is None else measured)[0])
-    return lambda model, torque: _run(recording, model, inputs, loop, start, torque)
-
-
-def _driven(recording: Recording) -> Run:
-    """Return the simulation of the joint under the recording's torque."""
-    channels, ampere = recording.channels, recording.bench.ampere_torque
-    name = "torque" if "torque" in channels else "current"
-    if name not in channels:
-        raise RecordingError(
-            f"{recording.name}: a simulation needs a `command` channel with the `controller` that "
-            "follows it, a `torque` or `current` channel, or the motion whose torque is predicted"
-        )
-    drive = channels[name] * (1.0 if name == "torque" else ampere)
-    if name in recording.averaged:
-        drive = np.append(drive[1:], drive[-1:])  # the mean over the period that ends at a sample
-    n, measured = len(recording.time), joint_angle(recording)
-    start = 0.0 if measured is None else float(measured[0])
-    angle = np.full(n, start) if measured is None else measured
-    moment = contact_moment(recording, recording.time, angle)
-    inputs = Inputs(recording.time, np.zeros(n), np.ones(n), drive, moment)
-    return lambda model, torque: _run(recording, model, inputs, OPEN_LOOP, start, torque)
-
-
-def _run(
-    recording: Recording,
-    model: CorrectedModel,
-    inputs: Inputs,
-    loop: Array,
-    start: float,
-    disturbance: Array,
-) -> Response:
-    """Simulate one model; the drive's torque is that without the disturbance."""
-    per_output = loop[3]
-    fed = dataclasses.replace(inputs, added=inputs.added + disturbance / per_output)
-    body = body_of(model.parameters, recording, model.alpha)
-    found = simulate(body, loop, fed, start, 0.0, STEP_S)
-    return dataclasses.replace(found, torque=found.torque - disturbance)
-
-
 def _with_effects(
-    fitted: Fitted, recording: Recording, run: Run
-) -> tuple[Response, Array, tuple[str, ...]]:
+    model: CorrectedModel, recording: Recording, run: Callable[..., Response]
+) -> tuple[Response, Array | float, list[str]]:
     """Return the response with the effects, their torque on the joint, and warnings.
 
     The effects' torque depends on the motion that it changes; it is computed from the last
     response, and the response with it, until it no longer changes (waveform relaxation).
     """
-    model, nothing = fitted.model, np.zeros(len(recording.time))
-    found = run(model, nothing)
+    found, disturbance = run(model), np.zeros(len(recording.time))
     if not model.effects and model.curve is None:
-        return found, nothing, ()
+        return found, disturbance, []
     acting = {r.effect.name for r in model.responses("torque")}
-    lost = [EFFECTS[name].name for name in model.effects if name not in acting]
-    warnings = [f"the response is without {', '.join(lost)}: they add no torque"] if lost else []
-    disturbance = nothing
+    lost = ", ".join(name for name in model.effects if name not in acting)
+    warnings = [f"the response is without {lost}: no torque on the joint"] if lost else []
     for _ in range(ROUNDS):
-        before = disturbance
-        view = _view_of(fitted, recording, found)
-        disturbance = _disturbance(model, view, found.time)
+        before, disturbance = (
+            disturbance,
+            _disturbance(model, _view_of(model, recording, found), found.time),
+        )
         found = run(model, disturbance)
         change = float(np.max(np.abs(disturbance - before)))
-        if change <= STILL * float(np.max(np.abs(disturbance), initial=0.0)):
-            return found, disturbance, tuple(warnings)
+        if change <= STILL * float(np.max(np.abs(disturbance))):
+            return found, disturbance, warnings
     warnings.append(
         "the torque of the effects and the motion do not settle on each other (last change "
         f"{change:.2g} N m): near rest the response is approximate"
     )
-    return found, disturbance, tuple(warnings)
+    return found, disturbance, warnings
 
 
-def _view_of(fitted: Fitted, recording: Recording, found: Response) -> View:
+def _view_of(model: CorrectedModel, recording: Recording, found: Response) -> View:
     """Return the signals of a response as those of a recording."""
     bench = recording.bench
     own = {
@@ -259,13 +200,9 @@ def _view_of(fitted: Fitted, recording: Recording, found: Response) -> View:
         "torque": found.torque,
         "current": found.torque / bench.ampere_torque,
     }
-    beside = {
-        n: v
-        for n, v in recording.channels.items()
-        if n in ("supply_voltage", "temperature", "load_force", "pressure", "command")
-    }
+    beside = {n: v for n, v in recording.channels.items() if n in KEPT}
     made = dataclasses.replace(recording, channels={**beside, **own}, averaged=frozenset())
-    return views_for([made], default_bandwidth(made), fitted.model)[0]
+    return views_for([made], default_bandwidth(made), model)[0]
 
 
 def _disturbance(model: CorrectedModel, view: View, time: Array) -> Array:
@@ -297,7 +234,7 @@ def _required(
     middle = Response(view.kept_times, *motion, torque(fitted.model))
     band = _band(middle.torque, [torque(model) for model in fitted.draws(draws, rng)])
     moment = view.low_pass(view.moment)
-    made = _simulation(fitted, "motion", middle, {"torque": band}, moment, ())
+    made = _simulation(fitted, "motion", middle, {"torque": band}, moment, [])
     return dataclasses.replace(made, measured=steady(view.transmitted)) if known else made
 
 
@@ -316,7 +253,7 @@ def _simulation(
     middle: Response,
     bands: Mapping[str, tuple[Array, Array]],
     moment: Array,
-    warnings: tuple[str, ...],
+    warnings: list[str],
 ) -> Simulation:
     """Return the response with bands of measured signals, and where it leaves the recordings."""
     low, high = {}, {}
@@ -324,14 +261,13 @@ def _simulation(
         value, noise = getattr(middle, name), quantile(math.inf) * fitted.noise.get(name, 0.0)
         low[name], high[name] = value - np.hypot(below, noise), value + np.hypot(above, noise)
     outside = np.zeros(len(middle.time), dtype=bool)
-    notes = list(warnings)
     signals = {"angle": middle.angle, "velocity": middle.velocity, "moment": moment}
     for name, (least, most) in fitted.ranges.items():
         edge = 1e-3 * max(abs(least), abs(most))
         beyond = (signals[name] < least - edge) | (signals[name] > most + edge)
         if np.any(beyond):
             outside |= beyond
-            notes.append(
+            warnings.append(
                 f"{name} is from {np.min(signals[name]):.3g} to {np.max(signals[name]):.3g}, but "
                 f"only {least:.3g} to {most:.3g} was recorded: beyond, the model is extrapolated"
             )
@@ -344,5 +280,5 @@ def _simulation(
         low,
         high,
         outside,
-        tuple(notes),
+        tuple(warnings),
     )
