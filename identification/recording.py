@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,16 +45,6 @@ replaces N m; only the angle of the motor stays in rad.
 ``motor_angle``, ``current`` and ``voltage`` are at the motor; ``feedforward`` is added to the
 controller's output and has the unit of this output.
 """
-
-
-class Table(Protocol):
-    """A table of named columns: a mapping, a pandas DataFrame or an xarray Dataset."""
-
-    def __getitem__(self, name: Any, /) -> Any:
-        """Return the column of a name."""
-
-    def __iter__(self) -> Iterator[Any]:
-        """Iterate over the names of the columns."""
 
 
 class RecordingError(ValueError):
@@ -319,7 +309,7 @@ class Recording:
         temperature: ArrayLike | None = None,
         pressure: ArrayLike | None = None,
         enabled: ArrayLike | None = None,
-        channels: Table | None = None,
+        channels: Any = None,
         name: str = "recording",
         bench: Bench | None = None,
         stage: Literal["unloaded", "loaded"] | None = None,

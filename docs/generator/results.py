@@ -59,10 +59,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
     ),
-    "rig diagnose: diagnose.json": (
-        "rig.results.diagnose.model_file:diagnosis_record",
-        "identification.diagnosis.result:Diagnosis.to_dict",
-    ),
+    "rig diagnose: diagnose.json": ("rig.results.diagnose.model_file:diagnosis_record",),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
@@ -148,7 +145,14 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     ),
     "rig diagnose: diagnose.json": (
         *(diagnosis.Curve, diagnosis.Estimate, diagnosis.Fit, diagnosis.IdentifiedEffect),
-        *(diagnosis.Location, diagnosis.Rival, diagnosis.Shift, diagnosis.Step, Spread),
+        *(
+            diagnosis.Location,
+            diagnosis.Rival,
+            diagnosis.Shift,
+            diagnosis.Step,
+            diagnosis.Diagnosis,
+            Spread,
+        ),
     ),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
@@ -160,7 +164,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
 }
 """Section to the records that are written field by field."""
 _INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
-    {"absolute", "cost_history", "excess", "parameter_history", "prior"}
+    {"absolute", "cost_history", "excess", "parameter_history", "prior", *diagnosis.NOT_WRITTEN}
 )
 """Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {

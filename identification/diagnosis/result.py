@@ -191,6 +191,10 @@ class ResidualTrace:
     after: Array
 
 
+NOT_WRITTEN = ("maps", "traces", "seconds", "model")
+"""Fields of a diagnosis that its result file does not have."""
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Result of one diagnosis.
@@ -280,20 +284,4 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as values for JSON, with the keys of ``rig diagnose --json``."""
-        return {
-            "verdict": self.verdict.value,
-            "statement": self.statement,
-            "effects": plain(self.effects),
-            "curve": plain(self.curve),
-            "fit": plain(self.fit),
-            "fits": plain(self.fits),
-            "parameter_shift": plain(self.parameter_shift),
-            "p_value": plain(self.p_value),
-            "location": plain(self.location),
-            "parameters": plain(self.parameters),
-            "alpha": plain(self.alpha),
-            "steps": plain(self.steps),
-            "warnings": plain(self.warnings),
-            "covariance": self.covariance.to_dict(),
-            "ranges": plain(self.ranges),
-        }
+        return dict(plain(self, *NOT_WRITTEN))
