@@ -9,7 +9,7 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -117,13 +117,14 @@ def diagnose(
     exact, warnings = diagnosis.as_exact(stated)
     chance = np.random.default_rng(rng)
     first = copy.deepcopy(chance)
-    search = partial(diagnosis.diagnose, effects=effects) if effects else diagnosis.diagnose
-    found: Diagnosis = search(
+    own: dict[str, Any] = {"effects": tuple(effects)} if effects else {}
+    found = diagnosis.diagnose(
         exact,
         bandwidth_Hz=bandwidth_Hz,
         rng=chance,
         progress=progress,
         estimate=lambda _exact: identify_any_length(stated, rng=first, progress=progress),
+        **own,
     )
     return replace(found, warnings=(*found.warnings, *warnings))
 

@@ -160,7 +160,7 @@ def diagnose(
         covariance=covariance_of(dataset, shown.after, shown.effects, bandwidth, shown.constants)
         if shown.effects
         else shown.constants.covariance,
-        ranges=spanned([tuple(map(v.low_pass, (v.angle, v.velocity, v.moment))) for v in here]),
+        ranges=spanned([[*map(v.low_pass, (v.angle, v.velocity, v.moment))] for v in here]),
         model=shown.after.model,
     )
 

@@ -5,7 +5,7 @@ values for JSON.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
@@ -31,7 +31,7 @@ def silent(_what: str, _share: float) -> None:
 RANGED = ("angle", "velocity", "moment")
 
 
-def spanned(recordings: Iterable[tuple[Array, Array, Array]]) -> dict[str, tuple[float, float]]:
+def spanned(recordings: Iterable[Sequence[Array]]) -> dict[str, tuple[float, float]]:
     """Return least and greatest angle, velocity and moment of the load over recordings, by name."""
     return {
         name: (float(min(np.min(x) for x in own)), float(max(np.max(x) for x in own)))
