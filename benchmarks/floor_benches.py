@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from identification.recording import Array, Bench, Dataset, Recording
-from identification.simulate.drive_loop import respond, usual_loop
+from identification.simulation.drive_loop import respond, usual_loop
 from rig.cli import entry as cli
 from rig.runs.recorded_inputs import JOINT_FIELDS
 from rig.runs.run_record import RECORDING_FILE

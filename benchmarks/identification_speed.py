@@ -203,7 +203,7 @@ def likelihood_race(
     began = process_time()
     default = identify(Dataset(tuple(pair)))
     spent_s, spent = process_time() - began, default.evaluations
-    target = _worst(default.values(), truth)
+    target = _worst(default.values, truth)
     motions = [m for m in map(motion, pair) if m is not None]
     likelihood = Filter(Experiment(tuple(motions)))
     noise = Noise(torque_noise(motions))

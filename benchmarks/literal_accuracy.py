@@ -64,7 +64,9 @@ def dataset(joint: Joint) -> Dataset:
         out = simulate(literal_machine(joint), command, DURATION_S, RATE_HZ, contact_force_N=force)
         channels = {name: out[name] for name in ("time", "angle", "velocity", "current")}
         mass = force / (bench.lever_ratio * bench.gravity)
-        recordings.append(Recording(stage, channels, bench, stage=stage, weight_mass=mass))  # type: ignore[arg-type]
+        recordings.append(
+            Recording(name=stage, channels=channels, bench=bench, stage=stage, weight_mass=mass)
+        )  # type: ignore[arg-type]
     return Dataset(tuple(recordings))
 
 
@@ -73,7 +75,7 @@ def errors_percent(joint: Joint) -> dict[str, float]:
     identified.
     """
     result = identify(dataset(joint), bandwidth_Hz=0.5 * RATE_HZ)
-    found = result.values()
+    found = result.values
     true = {name: getattr(joint, field) for name, field in JOINT_FIELDS.items()}
     return {
         name: 100.0 * abs(found.get(name, np.inf) / value - 1.0) for name, value in true.items()

@@ -28,7 +28,7 @@ from drivers.interfaces import RawFrame
 from identification.estimate.default import identify
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench
-from identification.simulate.drive_loop import respond, usual_loop
+from identification.simulation.drive_loop import respond, usual_loop
 from rig.common.sample import Sample
 from rig.common.tables import table
 from rig.config.bench import load_bench

@@ -40,7 +40,7 @@ from rig.results.identify.design import (
     plan_experiment,
     proposal_text,
 )
-from rig.results.identify.identify import identification_record, uncertainty_record
+from rig.results.identify.identify import identification_record
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
 
@@ -92,7 +92,6 @@ def identified(sequence: str, bench: Path, seed: int, folder: Path) -> Identific
     dataset = load_run(folder)
     result = identify(dataset)
     record = identification_record(result, Provenance.of(0, dataset.recordings, result.seconds))
-    record |= uncertainty_record(result)
     write_json(folder / "identify.json", record)
     return result
 

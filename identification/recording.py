@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from identification.model.gas_generator import GasGenerator
+from identification.model.parameters import (
+    GEAR_PARAMETERS,
+    LADDER,
+    LOAD_PARAMETERS,
+    SYSTEM_PARAMETERS,
+    UNITS_ROTARY,
+)
 from identification.numerics.arrays import Array as Array
 
 CHANNELS: Mapping[str, str] = {
@@ -158,7 +168,8 @@ class Controller:
 
 @dataclass(frozen=True)
 class Model:
-    """Terms fitted in addition to the nine nominal parameters, and parameters that are not fitted.
+    """What is fitted: the nine nominal parameters, those that are fixed, bounded, or known with an
+    uncertainty, and declared terms.
 
     Attributes:
         terms: Catalogue names of the effects that the bench is declared to have, or ``offset``;
@@ -168,6 +179,12 @@ class Model:
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Model of :data:`identification.model.parameters.LADDER` that is fitted to the
             unloaded recordings.
+        bounds: Parameters known to be in a range: name to lowest and greatest value, each
+            infinite where there is no limit. An estimate beyond its bound is set to the bound, and
+            the other parameters are fitted again with this value; no interval exceeds a bound.
+
+    >>> Model(fixed={"J": 0.2}, bounds={"sigma_2": (0.0, 10.0)}, friction="coulomb_viscous").free
+    ('Mc', 'sigma_2', 'mu_c', 'mu_s', 'omega_sL', 'mu_2')
     """
 
     terms: tuple[str, ...] = ()
@@ -175,11 +192,59 @@ class Model:
     alpha: float = 2.0
     friction: str = "stribeck"
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the names and the bounds.
+
+        Raises:
+            RecordingError: A name is unknown, a parameter is both fixed and bounded or known with
+                an uncertainty, or a bound or an uncertainty is none.
+        """
+        wrong = []
+        if self.friction not in LADDER:
+            wrong.append(f"friction must be {', '.join(LADDER)} (got {self.friction!r})")
+        unknown = {*self.fixed, *self.priors, *self.bounds} - UNITS_ROTARY.keys()
+        if unknown:
+            known = ", ".join(UNITS_ROTARY)
+            wrong.append(f"unknown {', '.join(sorted(unknown))}; the parameters are {known}")
+        if both := self.fixed.keys() & {*self.priors, *self.bounds}:
+            wrong.append(f"{', '.join(sorted(both))}: either fixed, or bounded or with a prior")
+        for name, (low, high) in self.bounds.items():
+            if not low < high:
+                wrong.append(f"bounds of {name}: the lower must be below the upper ({low}, {high})")
+        for name, (_, deviation) in self.priors.items():
+            if not 0.0 < deviation < math.inf:
+                wrong.append(f"prior of {name}: its deviation must be above 0 (got {deviation})")
+        if wrong:
+            raise RecordingError("model: " + "; ".join(wrong))
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit estimates, those of the load only where a recording is
+        loaded.
+        """
+        own = {*LADDER[self.friction], "J", *LOAD_PARAMETERS}
+        own |= {"omega_sf"} if "Ms" in own else set()
+        own |= {"offset"} & {*self.terms}
+        order = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset")
+        return tuple(n for n in order if n in own and n not in self.fixed)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Recording:
     """Channels of one excitation under one load, evenly or unevenly sampled.
+
+    Signals are anything that numpy makes an array of: arrays, lists, columns of pandas or xarray;
+    time may be stamps (``datetime64``). A whole table is given as ``channels``: its columns have
+    the names of :data:`CHANNELS`; the time may be its index or coordinate ``time``.
+
+    >>> t = np.linspace(0.0, 1.0, 101)
+    >>> one = Recording(t, angle=np.sin(t), torque=np.cos(t))
+    >>> sorted(one.channels), round(one.period, 6)
+    (['angle', 'time', 'torque'], 0.01)
+    >>> Recording(channels={"time": t, "angle": np.sin(t)}, weight_mass=30.6, name="b").stage
+    'loaded'
 
     Attributes:
         name: Short name for tables and legends.
@@ -187,7 +252,7 @@ class Recording:
             increasing. NaN marks samples that were not measured (``voltage`` while the power stage
             is off).
         bench: Constants of the machine.
-        stage: ``unloaded`` or ``loaded``.
+        stage: ``unloaded`` or ``loaded``; unless stated, ``loaded`` with a weight.
         weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
         pendulum: Known weight that turns with the joint, or None.
         hoist: Known mass that the joint lifts, or None.
@@ -212,28 +277,83 @@ class Recording:
     name: str
     channels: Mapping[str, Array]
     bench: Bench
-    stage: Literal["unloaded", "loaded"] = "unloaded"
-    weight_mass: float = 0.0
-    pendulum: Pendulum | None = None
-    hoist: Hoist | None = None
-    constant_torque: float = 0.0
-    controller: Controller | None = None
-    role: Literal["fit", "validate", "unused"] = "fit"
-    averaged: frozenset[str] = frozenset()
-    source: str = ""
-    sha256: str = ""
-    notes: tuple[str, ...] = ()
-    partial: bool = False
-    start: float | None = None
-    uncertainties: Mapping[str, float] = field(default_factory=dict)
+    stage: Literal["unloaded", "loaded"]
+    weight_mass: float
+    pendulum: Pendulum | None
+    hoist: Hoist | None
+    constant_torque: float
+    controller: Controller | None
+    role: Literal["fit", "validate", "unused"]
+    averaged: frozenset[str]
+    source: str
+    sha256: str
+    notes: tuple[str, ...]
+    partial: bool
+    start: float | None
+    uncertainties: Mapping[str, float]
 
-    def __post_init__(self) -> None:
-        """Check shapes, names and time.
+    def __init__(
+        self,
+        time: ArrayLike | None = None,
+        angle: ArrayLike | None = None,
+        current: ArrayLike | None = None,
+        *,
+        torque: ArrayLike | None = None,
+        voltage: ArrayLike | None = None,
+        supply_voltage: ArrayLike | None = None,
+        motor_angle: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        command: ArrayLike | None = None,
+        feedforward: ArrayLike | None = None,
+        load_force: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        pressure: ArrayLike | None = None,
+        enabled: ArrayLike | None = None,
+        channels: Any = None,
+        name: str = "recording",
+        bench: Bench | None = None,
+        stage: Literal["unloaded", "loaded"] | None = None,
+        weight_mass: float = 0.0,
+        pendulum: Pendulum | None = None,
+        hoist: Hoist | None = None,
+        constant_torque: float = 0.0,
+        controller: Controller | None = None,
+        role: Literal["fit", "validate", "unused"] = "fit",
+        averaged: Iterable[str] = (),
+        source: str = "",
+        sha256: str = "",
+        notes: tuple[str, ...] = (),
+        partial: bool = False,
+        start: float | None = None,
+        uncertainties: Mapping[str, float] | None = None,
+    ) -> None:
+        """Take signals by the names and in the units of :data:`CHANNELS`, or as a table
+        ``channels``; the other arguments are the attributes.
 
         Raises:
             RecordingError: A channel is unknown, its length differs from that of the time, or time
                 does not increase.
         """
+        given = dict(locals())  # the arguments by name
+        table = {} if channels is None else {str(n): channels[n] for n in channels}
+        if channels is not None and "time" not in table:
+            # xarray lists coordinates apart from the variables, pandas an index apart from columns.
+            index = getattr(channels, "index", None)
+            own = {"time": index} if getattr(index, "name", None) == "time" else {}
+            table |= {n: v for n, v in getattr(channels, "coords", own).items() if n == "time"}
+        table |= {n: given[n] for n in CHANNELS if given[n] is not None}
+        given |= {
+            "channels": {n: _series(name, n, values) for n, values in table.items()},
+            "bench": bench or Bench(),
+            "stage": stage or ("loaded" if weight_mass > 0.0 else "unloaded"),
+            "averaged": frozenset(averaged),
+            "uncertainties": uncertainties or {},
+        }
+        for item in dataclasses.fields(self):
+            object.__setattr__(self, item.name, given[item.name])
+        self._check()
+
+    def _check(self) -> None:
         if "time" not in self.channels:
             raise RecordingError(f"{self.name}: no channel 'time'")
         n = len(self.channels["time"])
@@ -311,7 +431,22 @@ class Recording:
         return self.bench.contact_force(self.weight_mass)
 
 
-@dataclass(frozen=True)
+def _series(recording: str, channel: str, values: Any) -> Array:
+    """Return the samples of a channel, or seconds since the first of its time stamps."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64:
+        return values
+    given = np.asarray(values)
+    if given.dtype.kind in "mM":
+        return np.asarray((given - given[:1]) / np.timedelta64(1, "s"))
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{recording}: channel {channel!r} must be numbers (got {given.dtype}): {error}"
+        ) from error
+
+
+@dataclass(frozen=True, init=False)
 class Dataset:
     """Recordings of one bench and the model to be fitted to them.
 
@@ -322,8 +457,23 @@ class Dataset:
     """
 
     recordings: tuple[Recording, ...]
-    model: Model = field(default_factory=Model)
-    tables: Mapping[str, str] = field(default_factory=dict)
+    model: Model
+    tables: Mapping[str, str]
+
+    def __init__(
+        self,
+        recordings: Recording | Iterable[Recording],
+        model: Model | None = None,
+        tables: Mapping[str, str] | None = None,
+    ) -> None:
+        """Take one recording or several."""
+        several = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+        for name, value in (
+            ("recordings", several),
+            ("model", model or Model()),
+            ("tables", tables or {}),
+        ):
+            object.__setattr__(self, name, value)
 
     def part(self, role: Literal["fit", "validate"]) -> tuple[Recording, ...]:
         """Return the recordings of one role."""

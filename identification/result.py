@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, finite, plain
+from identification.numerics.spread import NO_SPREAD, Spread
 
 
 @dataclass(frozen=True)
@@ -316,6 +318,11 @@ class Identification:
         known_constants: Constants given with an uncertainty. The intervals of ``parameters``
             include this uncertainty; profile likelihoods and bootstrap do not.
         priors: Prior values that were combined with the estimates from the recordings.
+        covariance: Covariance of the identifiable parameters that were fitted, from which their
+            intervals are made, with that of known constants, priors and unmodelled torque; without
+            a name if the method has none.
+        ranges: Least and greatest ``angle``, ``velocity`` and ``moment`` of the load in the
+            recordings that were fitted, at the bandwidth of the fit.
     """
 
     method: str
@@ -339,6 +346,8 @@ class Identification:
     resampled: tuple[Resampled, ...] = ()
     known_constants: tuple[KnownConstant, ...] = ()
     priors: tuple[Prior, ...] = ()
+    covariance: Spread = NO_SPREAD
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def torque_unit(self) -> str:
@@ -360,9 +369,73 @@ class Identification:
         }
         return tuple(code for code, holds in signs.items() if holds)
 
+    @property
     def values(self) -> dict[str, float]:
-        """Return name to value of the identifiable parameters."""
+        """Name to value of the identifiable parameters."""
         return {name: p.value for name, p in self.parameters.items() if p.value is not None}
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Name to 90 % interval of the identifiable parameters that were fitted."""
+        return {
+            name: (p.low, p.high)
+            for name, p in self.parameters.items()
+            if p.low is not None and p.high is not None
+        }
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation of the parameters of ``covariance``, shape (p, p)."""
+        return self.covariance.correlation
+
+    @property
+    def residuals(self) -> dict[str, Array]:
+        """Name of each recording to its torque less the model's, NaN at samples that the fit does
+        not use, at the times of its :class:`Trace`.
+        """
+        return {
+            t.recording: np.where(t.used, t.torque - t.torque_model, np.nan) for t in self.traces
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as values for JSON, with the keys of ``rig identify --json``."""
+        return {
+            "method": self.method,
+            "motion": self.motion,
+            "alpha": self.alpha,
+            "friction": self.friction,
+            "fitted": plain(self.fitted),
+            "parameters": by_name(self.parameters.values()),
+            "covariance": self.covariance.to_dict(),
+            "ranges": plain(self.ranges),
+            "fit": {**plain(self.fit), "explained": finite(self.fit.explained)},
+            "misfit": [str(code) for code in self.misfit],
+            "fit_by_recording": plain(self.fits_by_recording),
+            "evaluations": self.evaluations,
+            "stages": [plain(s, "cost_history", "parameter_history") for s in self.stages],
+            "convergence": {
+                s.stage: {"cost": plain(s.cost_history), "parameters": plain(s.parameter_history)}
+                for s in self.stages
+                if s.cost_history is not None
+            },
+            "warnings": list(self.warnings),
+            "tradeoffs": plain(self.tradeoffs),
+            "least_pinned": self.least_pinned,
+            "noise": plain(self.noise),
+            "bounds_hit": [p.name for p in self.parameters.values() if p.at_bound],
+            "starts": [
+                {**plain(s, "reached", "absolute"), "reached_best": s.best} for s in self.starts
+            ],
+            "profiles": by_name(self.profiles),
+            "bootstrap": by_name(self.resampled),
+            "priors": by_name(self.priors),
+            "known_constants": plain(self.known_constants),
+        }
+
+
+def by_name(records: Iterable[Any]) -> dict[str, Any]:
+    """Return records as values for JSON, by their names."""
+    return {record.name: plain(record, "name") for record in records}
 
 
 @dataclass(frozen=True)

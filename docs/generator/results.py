@@ -20,6 +20,8 @@ from identification.diagnosis import result as diagnosis
 from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
+from identification.numerics.arrays import RANGED
+from identification.numerics.spread import Spread
 from identification.result import (
     Convergence,
     Fit,
@@ -39,7 +41,6 @@ from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
 from rig.results.catalogue.compare import Figure
-from rig.results.diagnose.model_file import FIELDS
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 from rig.sources.look import Clock, Column, Look
@@ -49,8 +50,7 @@ _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
     _PROVENANCE: ("rig.common.provenance:Provenance.record",),
     "rig identify: identify.json": (
-        "rig.results.identify.identify:identification_record",
-        "rig.results.identify.identify:uncertainty_record",
+        "identification.result:Identification.to_dict",
         "rig.results.identify.identify:ladder_record",
         "rig.results.identify.identify:simulated_record",
         "rig.results.identify.identify:transfer_record",
@@ -60,10 +60,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
     ),
-    "rig diagnose: diagnose.json": (
-        "rig.results.diagnose.model_file:diagnosis_record",
-        "rig.results.diagnose.model_file:effects_record",
-    ),
+    "rig diagnose: diagnose.json": ("rig.results.diagnose.model_file:diagnosis_record",),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
@@ -140,11 +137,18 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig identify: identify.json": (
         *(Convergence, Fit, KnownConstant, MeasuredNoise, Parameter, Prior, Profile, Resampled),
-        *(Starts, Tradeoff, Constant, Contender, Interval),
+        *(Starts, Tradeoff, Constant, Contender, Interval, Spread),
     ),
     "rig diagnose: diagnose.json": (
         *(diagnosis.Curve, diagnosis.Estimate, diagnosis.Fit, diagnosis.IdentifiedEffect),
-        *(diagnosis.Location, diagnosis.Rival, diagnosis.Shift, diagnosis.Step),
+        *(
+            diagnosis.Location,
+            diagnosis.Rival,
+            diagnosis.Shift,
+            diagnosis.Step,
+            diagnosis.Diagnosis,
+            Spread,
+        ),
     ),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
@@ -157,14 +161,25 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
 }
 """Section to the records that are written field by field."""
 _INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
-    {"absolute", "cost_history", "excess", "guesses", "parameter_history", "prior", "turn"}
+    {
+        "absolute",
+        "cost_history",
+        "excess",
+        "guesses",
+        "parameter_history",
+        "prior",
+        "turn",
+        *diagnosis.NOT_WRITTEN,
+    }
 )
 """Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig runs list --json": frozenset({"run"}),
     "rig runs compare --json": frozenset({"low", "high"}),
+    "rig diagnose: diagnose.json": frozenset(RANGED),
     "rig identify: identify.json": frozenset(
         {
+            *RANGED,
             "corrections",
             "compared",
             "ladder",
@@ -174,7 +189,6 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
             "partial",
         }
     ),
-    "rig diagnose: diagnose.json": frozenset(FIELDS),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),

@@ -33,7 +33,7 @@ from identification.numerics.least_squares import huber_weight
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Bench, Model, Recording
 from identification.result import DEFAULT
-from identification.simulate.drive_loop import Loop, Response, respond, usual_loop
+from identification.simulation.drive_loop import Loop, Response, respond, usual_loop
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)

@@ -44,6 +44,7 @@ from identification.diagnosis.scored import (
     Estimate,
     Scores,
     constants_of,
+    covariance_of,
     curve_of,
     fits_of,
     grown,
@@ -67,7 +68,9 @@ from identification.diagnosis.within_limits import (
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Effect
 from identification.effects.model import CorrectedModel
+from identification.estimate.covariance import uncertain_constants
 from identification.estimate.parameter_table import units_of
+from identification.numerics.arrays import spanned
 from identification.prepare import prepare
 from identification.recording import Dataset, RecordingError
 from identification.views.view import View, forget, views
@@ -154,6 +157,11 @@ def diagnose(
         ),
         seconds=perf_counter() - clock,
         alpha=shown.after.model.alpha,
+        covariance=covariance_of(dataset, shown.after, shown.effects, bandwidth, shown.constants)
+        if shown.effects
+        else shown.constants.covariance,
+        ranges=spanned([[*map(v.low_pass, (v.angle, v.velocity, v.moment))] for v in here]),
+        model=shown.after.model,
     )
 
 
@@ -417,3 +425,23 @@ def _effects_to_search(
     excluded, why = unrecorded_effects(dataset.part("fit"), here)
     left_out = {*dataset.model.terms, *excluded}
     return [t for t in MOTION if t.name not in left_out], why
+
+
+def as_exact(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Return a dataset without priors and uncertainties, and warnings that state this."""
+    constants = uncertain_constants(dataset.part("fit"))
+    warnings = []
+    if constants:
+        listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
+        warnings.append(
+            "the diagnosis takes known constants as exact: its intervals do not contain the "
+            f"uncertainty of {listed}; the intervals of rig identify do"
+        )
+    if dataset.model.priors:
+        warnings.append(
+            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it "
+            "fits these parameters freely"
+        )
+    recordings = tuple(replace(r, uncertainties={}) for r in dataset.recordings)
+    model = replace(dataset.model, priors={})
+    return replace(dataset, recordings=recordings, model=model), tuple(warnings)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
-from identification.effects.model import Curve
+from identification.effects.model import CorrectedModel, Curve
+from identification.numerics.arrays import plain
+from identification.numerics.spread import NO_SPREAD, Spread
 from identification.recording import Array
 
 
@@ -188,6 +191,10 @@ class ResidualTrace:
     after: Array
 
 
+NOT_WRITTEN = ("maps", "traces", "seconds", "model")
+"""Fields of a diagnosis that its result file does not have."""
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Result of one diagnosis.
@@ -210,6 +217,13 @@ class Diagnosis:
         traces: Mismatch against time, for the report.
         warnings: Warnings on the recordings and on the result.
         seconds: Computing time, s.
+        alpha: Stribeck exponent.
+        covariance: Covariance of the parameters of the corrected model, those of effects as
+            ``effect.name`` with the variances of their intervals; without effects that of the
+            default estimator.
+        ranges: Least and greatest ``angle``, ``velocity`` and ``moment`` of the load in the
+            recordings that were fitted, at the bandwidth of the fit.
+        model: The corrected model, for predictions and simulations; None of a gas generator.
     """
 
     verdict: Verdict
@@ -227,4 +241,47 @@ class Diagnosis:
     traces: tuple[ResidualTrace, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
-    alpha: float = field(default=2.0)
+    alpha: float = 2.0
+    covariance: Spread = NO_SPREAD
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    model: CorrectedModel | None = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of the identifiable nominal parameters, and of those of the effects as
+        ``effect.name``.
+        """
+        known = {n: v for n, v in self.parameters.items() if n in self.parameter_shift}
+        nominal = {n: v for n, v in known.items() if self.parameter_shift[n].after is not None}
+        return {
+            **nominal,
+            **{f"{e.name}.{n}": own.value for e in self.effects for n, own in e.parameters.items()},
+        }
+
+    @property
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Name to 90 % interval, of the names of ``values`` that have one."""
+        half = {n: self.covariance.half_width(n) for n in self.covariance.names}
+        nominal = {n: (v - half[n], v + half[n]) for n, v in self.values.items() if n in half}
+        effects = {
+            f"{e.name}.{n}": (own.low, own.high)
+            for e in self.effects
+            for n, own in e.parameters.items()
+        }
+        return {**nominal, **effects}
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation of the parameters of ``covariance``, shape (p, p)."""
+        return self.covariance.correlation
+
+    @property
+    def residuals(self) -> dict[str, Array]:
+        """Name of each fitted recording to the error of the corrected model in the equation of
+        ``fit``, at the samples of its :class:`ResidualTrace`.
+        """
+        return {t.recording: t.after for t in self.traces if t.equation == self.fit.equation}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as values for JSON, with the keys of ``rig diagnose --json``."""
+        return dict(plain(self, *NOT_WRITTEN))

@@ -26,6 +26,7 @@ from identification.effects.model import (
     views_for,
 )
 from identification.numerics.least_squares import least_squares
+from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples, quantile
 from identification.recording import Array, Dataset, RecordingError
 from identification.result import Identification
 from identification.signals import BoolArray
@@ -57,11 +58,13 @@ class Constants(NamedTuple):
         values: Name to value, also of parameters that the recordings do not determine.
         known: Name to value, None for a parameter that the recordings do not determine.
         warnings: Warnings of the estimator.
+        covariance: Covariance of the default estimator.
     """
 
     values: Mapping[str, float]
     known: Mapping[str, float | None]
     warnings: tuple[str, ...] = ()
+    covariance: Spread = NO_SPREAD
 
 
 class Scores(NamedTuple):
@@ -94,7 +97,7 @@ def constants_of(joint: Joint) -> Constants:
 def identified_constants(found: Identification) -> Constants:
     """Return the nominal parameters of ``rig identify``."""
     known = {n: found.parameters[n].value if n in found.parameters else None for n in found.fitted}
-    return Constants(dict(found.fitted), known, found.warnings)
+    return Constants(dict(found.fitted), known, found.warnings, found.covariance)
 
 
 def unreported_constants(joint: Joint) -> dict[str, float]:
@@ -194,7 +197,9 @@ def reported(
         return best[0], best[1]._replace(warnings=(*best[1].warnings, note))
     notes = tuple(f"nominal parameters fitted again: {w}" for w in found.warnings)
     other = scored(found._replace(warnings=notes))
-    return best if worse(other[0], best[0], "torque", "fit") else other
+    if worse(other[0], best[0], "torque", "fit"):
+        return best[0], best[1]._replace(covariance=found.covariance)
+    return other
 
 
 def _settled(
@@ -223,7 +228,62 @@ def _settled(
     if pairs[1] > SETTLED_COST * pairs[0]:
         return first, constants
     settled = {n: values[n] for n in constants.values}
-    return other, Constants(settled, constants.known, (*constants.warnings, *notes))
+    return other, constants._replace(values=settled, warnings=(*constants.warnings, *notes))
+
+
+def covariance_of(
+    dataset: Dataset,
+    scored: Scores,
+    effects: Sequence[IdentifiedEffect],
+    bandwidth_Hz: float,
+    constants: Constants,
+) -> Spread:
+    """Return the covariance of the corrected model's parameters, those of effects as
+    ``effect.name``, from the errors of all equations over the recordings that were fitted.
+
+    It is that of least squares with the variance of each equation's error, over the correlation
+    time of the errors. The variances of effects are those of their reported intervals, and no
+    nominal variance is below that of the default estimator. Constants that the recordings do not
+    determine count as exact.
+    """
+    model = scored.model
+    seen = views_for(dataset.recordings, bandwidth_Hz, model)
+    seen = tuple(v for v in seen if v.recording.role == "fit")
+    scale = {p.equation: scored.rms(p.equation, "fit") or 1.0 for p in scored.parts}
+
+    def errors(values: Mapping[str, float]) -> Array:
+        parts = [p for v in seen for p in predictions(v, model.changed(values))]
+        left = [(p.measured - p.model) / scale[p.equation] for p in parts]
+        return np.nan_to_num(np.concatenate(left))
+
+    halves = {
+        f"{e.name}.{n}": 0.5 * (p.high - p.low) for e in effects for n, p in e.parameters.items()
+    }
+    exact = {*dataset.model.fixed, *(n for n, v in constants.known.items() if v is None)}
+    base, columns = errors({}), {}
+    for name, value in model.values.items():
+        step = 1e-3 * halves[name] if name in halves else 1e-4 * abs(value)
+        if step > 0.0 and name not in exact:
+            change = (errors({name: value + step}) - base) / step
+            if np.any(change):
+                columns[name] = change
+    if not columns:
+        return NO_SPREAD
+    design = np.stack(list(columns.values()), axis=1)
+    size = np.linalg.norm(design, axis=0)
+    bread = np.linalg.pinv((design / size).T @ (design / size), rcond=1e-12, hermitian=True)
+    matrix = bread / np.outer(size, size) * float(np.mean(base[base != 0.0] ** 2))
+    matrix *= correlation_samples(base[base != 0.0])
+    names, deviation = tuple(columns), np.sqrt(np.diag(matrix))
+    own = constants.covariance
+    least = dict(zip(own.names, np.sqrt(np.diag(own.matrix)), strict=True))
+    wide = np.array(
+        [
+            halves[n] / quantile(math.inf) / d if n in halves else max(least.get(n, 0.0) / d, 1.0)
+            for n, d in zip(names, deviation, strict=True)
+        ]
+    )
+    return Spread(names, matrix * np.outer(wide, wide), math.inf)
 
 
 def worse(one: Scores, other: Scores, equation: str, role: str) -> bool:

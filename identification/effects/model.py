@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.effects import EFFECTS
 from identification.effects.effect import Columns, Effect, Shape
-from identification.estimate.default import identify
+from identification.estimate.default import identify_any_length
 from identification.estimate.equation_error import LEAST_MOTION
 from identification.model.parameters import UNITS_ROTARY
 from identification.numerics.arrays import Array
@@ -103,6 +103,30 @@ class CorrectedModel:
     def nominal(self) -> Nominal:
         """Nominal values on which the regressors of the effects depend."""
         return self._fitted[0]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of all parameters, those of effects as ``effect.name``."""
+        effects = {f"{e}.{n}": v for e, own in self.effects.items() for n, v in own.items()}
+        return {**self.parameters, **effects}
+
+    def changed(self, values: Mapping[str, float]) -> CorrectedModel:
+        """Return the model with other values of some parameters, by the names of ``values``.
+
+        Raises:
+            RecordingError: The model has no such parameter.
+        """
+        if unknown := values.keys() - self.values.keys():
+            raise RecordingError(
+                f"no parameter of the model: {', '.join(sorted(unknown))}; it has "
+                f"{', '.join(self.values)}"
+            )
+        effects = {
+            e: {n: values.get(f"{e}.{n}", v) for n, v in own.items()}
+            for e, own in self.effects.items()
+        }
+        nominal = {n: values.get(n, v) for n, v in self.parameters.items()}
+        return dataclasses.replace(self, parameters=nominal, effects=effects)
 
     def numbers(self, recording: Recording) -> dict[str, float | list[float]]:
         """Return the nominal parameters, the bench constants and the values of effects on which
@@ -278,7 +302,7 @@ def refit(
     rng: np.random.Generator | None = None,
 ) -> Identification:
     """Return the nominal parameters of a dataset without its effects, with intervals, by the
-    default estimator; ``rng`` is that of :func:`identify`.
+    default estimator; ``rng`` is that of :func:`identify_any_length`.
 
     The diagnosis uses equation errors, which do not resolve the falling branch of friction under
     load. The default estimator refines its values by prediction errors, but accepts the refined
@@ -288,7 +312,7 @@ def refit(
         RecordingError: The recordings do not determine the model.
     """
     fitted = without_effects(dataset.part("fit"), model, bandwidth_Hz)
-    return identify(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
+    return identify_any_length(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
 
 
 def _without(recording: Recording, view: View, model: CorrectedModel) -> Recording:

@@ -307,11 +307,11 @@ def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[Known
 
 def with_constants(spread: Spread, constants: Sequence[KnownConstant]) -> Spread:
     """Return the covariance of the estimates, with the covariance due to the constants added."""
-    covariance = spread.covariance
+    covariance = spread.matrix
     for constant in constants:
         d = np.array([constant.shifts.get(name, 0.0) for name in spread.names])
         covariance = covariance + np.outer(d, d)
-    return replace(spread, covariance=covariance)
+    return replace(spread, matrix=covariance)
 
 
 def _moved(recording: Recording, constant: Constant, side: float) -> Recording:
@@ -357,7 +357,7 @@ def with_priors(
         return dict(values), spread, (), tuple(warnings)
     at = [spread.names.index(n) for n in names]
     wanted, deviations = np.array([known[n] for n in names]).T
-    covariance = _finite(spread.covariance, dict(zip(at, deviations, strict=True)))
+    covariance = _finite(spread.matrix, dict(zip(at, deviations, strict=True)))
     before = np.array([values[n] for n in spread.names])
     sum_ = covariance[np.ix_(at, at)] + np.diag(deviations**2)
     gain = np.linalg.solve(sum_, covariance[at]).T
@@ -384,9 +384,9 @@ def with_priors(
             )
         used.append(Prior(n, value, deviation, values[n], alone, found[n], math.sqrt(left[k, k])))
     # An infinite or undefined variance is kept if the parameter has no prior.
-    kept = np.where(np.isfinite(spread.covariance), left, spread.covariance)
+    kept = np.where(np.isfinite(spread.matrix), left, spread.matrix)
     kept[np.ix_(at, at)] = left[np.ix_(at, at)]
-    return found, replace(spread, covariance=kept), tuple(used), tuple(warnings)
+    return found, replace(spread, matrix=kept), tuple(used), tuple(warnings)
 
 
 def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarray:

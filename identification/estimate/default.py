@@ -6,8 +6,9 @@ and the refined values are used if they pass the acceptance tests.
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -50,8 +51,8 @@ from identification.estimate.refinement import (
 from identification.estimate.searches import Refined
 from identification.estimate.uncertainty import bootstrap, profiles
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
-from identification.numerics.arrays import Progress, silent
-from identification.numerics.spread import Spread
+from identification.numerics.arrays import Progress, silent, spanned
+from identification.numerics.spread import Spread, quantile
 from identification.prepare import (
     Prepared,
     joint_angle,
@@ -68,6 +69,7 @@ from identification.result import (
     EstimatorSettings,
     Fit,
     Identification,
+    Parameter,
     Profile,
     Resampled,
 )
@@ -175,22 +177,23 @@ def identification(
     noise_alone = with_priors(found.values, with_constants(found.spread, constants), model.priors)
     if priors:
         fit, fits = printed_fit(every, cut, values, model.alpha)
+    # The floor is the bound for the recordings alone, without priors.
+    table = widened(
+        parameter_table(
+            active,
+            values,
+            noise_alone[1],
+            model,
+            {} if priors else found.floors,
+            found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
+        ),
+        spread,
+    )
     return Identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        # The floor is the bound for the recordings alone, without priors.
-        parameters=widened(
-            parameter_table(
-                active,
-                values,
-                noise_alone[1],
-                model,
-                {} if priors else found.floors,
-                found.taken is None and (fit.floors or 0.0) > MOST_FLOORS,
-            ),
-            spread,
-        ),
+        parameters=table,
         fit=fit,
         stages=found.stages,
         fitted=dict(values),
@@ -203,6 +206,8 @@ def identification(
         warnings=(*found.warnings, *doubts),
         known_constants=constants,
         priors=priors,
+        covariance=spread.only([n for n, p in table.items() if p.value is not None]),
+        ranges=spanned([(p.angle, p.velocity, p.moment) for p in active]),
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording=fits,
         evaluations=sum(s.evaluations for s in found.stages),
@@ -219,7 +224,7 @@ def _with_discrepancy(found: Found, active: Sequence[Prepared], fit: Fit, alpha:
     volts = volts_per_torque(active[0].recording) or 1.0
     sizes = fit.discrepancy_rms / volts, (fit.noise_floor_rms or 0.0) / volts
     more = discrepancy(active, found.values, spread.names, alpha, *sizes)
-    return replace(spread, covariance=spread.covariance + more)
+    return replace(spread, matrix=spread.matrix + more)
 
 
 def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared]]:
@@ -269,7 +274,7 @@ def _asked(
     if profile:
         # Use the reported covariance, which includes the information from replicates and the
         # uncertainty of the bias.
-        stated = replace(found.taken, covariance=found.spread.covariance)
+        stated = replace(found.taken, covariance=found.spread.matrix)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
     if draws:
@@ -347,12 +352,84 @@ _SEARCH_SAMPLES = 6000
 """Number of samples before the end of a piece in which a rest is searched for the cut."""
 
 
-def identify_any_length(dataset: Dataset, **options: Any) -> Identification:
-    """Identify by the default method, piece by piece if the recordings are long; the options are
-    those of :func:`default.identify`.
+def identify_any_length(
+    dataset: Dataset, *, rng: np.random.Generator | None = None, **options: Any
+) -> Identification:
+    """Identify by the default method within the bounds of the model, piece by piece if the
+    recordings are long; the options are those of :func:`default.identify`.
     """
+    chance = rng or np.random.default_rng(0)
+    if dataset.model.bounds:
+        return _within_bounds(
+            dataset, lambda part: identify_any_length(part, rng=copy.deepcopy(chance), **options)
+        )
     samples = sum(len(r.time) for r in dataset.part("fit"))
-    return identify(dataset, in_pieces=samples > LONG_SAMPLES, **options)
+    return identify(dataset, rng=chance, in_pieces=samples > LONG_SAMPLES, **options)
+
+
+def _within_bounds(
+    dataset: Dataset, estimate: Callable[[Dataset], Identification]
+) -> Identification:
+    """Return the estimate within the bounds of the model.
+
+    A parameter whose estimate is beyond its bound is fixed at the bound, and the others are fitted
+    again. What the free estimate leaves of the parameter's range, from the bound to the other end
+    of the interval, is the half width of its interval, and moves the other parameters as their
+    covariance says.
+    """
+    model = dataset.model
+    bounds = dict(model.bounds)
+    free = estimate(replace(dataset, model=replace(model, bounds={})))
+    beyond = [n for n, (low, high) in bounds.items() if not low <= free.fitted.get(n, low) <= high]
+    if not beyond:
+        return replace(free, parameters=_cut_at(bounds, free.parameters))
+    name, before = beyond[0], free.fitted[beyond[0]]
+    low, high = bounds.pop(name)
+    at = min(max(before, low), high)
+    priors = {n: p for n, p in model.priors.items() if n != name}
+    held = replace(model, fixed={**model.fixed, name: at}, bounds=bounds, priors=priors)
+    found = estimate(replace(dataset, model=held))
+    half, covariance = 0.0, found.covariance
+    if name in free.covariance.names:
+        row = free.covariance.matrix[free.covariance.names.index(name)]
+        slopes = dict(zip(free.covariance.names, row, strict=True))
+        whole = free.covariance.half_width(name)
+        half = min(max(whole - abs(before - at), 0.0), high - low)
+        names = (*covariance.names, name)
+        slope = np.array([slopes.get(n, 0.0) / slopes[name] for n in names])
+        matrix = np.zeros((len(names), len(names)))
+        matrix[:-1, :-1] = covariance.matrix
+        matrix += np.outer(slope, slope) * (half / quantile(covariance.freedom)) ** 2
+        covariance = replace(covariance, names=names, matrix=matrix)
+    unit, reason = found.parameters[name].unit, f"at its bound; without it {before:.4g}"
+    bounded = Parameter(name, unit, at, at, at, at_bound=True, reason=reason)
+    table = widened({**found.parameters, name: bounded}, covariance)
+    warning = f"{name} is at its bound {at:.4g} {unit}; without this bound it would be {before:.4g}"
+    if not half:
+        warning += (
+            ", and its interval does not reach the bound: the bound is wrong, or the model lacks "
+            "an effect"
+        )
+    return replace(
+        found,
+        parameters=_cut_at({**bounds, name: (low, high)}, table),
+        covariance=covariance,
+        warnings=(*found.warnings, warning),
+        evaluations=free.evaluations + found.evaluations,
+        seconds=free.seconds + found.seconds,
+    )
+
+
+def _cut_at(
+    bounds: Mapping[str, tuple[float, float]], table: Mapping[str, Parameter]
+) -> dict[str, Parameter]:
+    """Return the parameters with intervals that end at the bounds."""
+    return {
+        name: p
+        if p.low is None or p.high is None or name not in bounds
+        else replace(p, low=max(p.low, bounds[name][0]), high=min(p.high, bounds[name][1]))
+        for name, p in table.items()
+    }
 
 
 def pieces(recording: Recording) -> list[Recording]:

@@ -15,7 +15,7 @@ from identification.model.friction import stribeck_shape, system_friction
 from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray, IntArray
 from identification.numerics.least_squares import Design, bounded_least_squares
-from identification.numerics.spread import Spread, correlation_samples
+from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples
 from identification.prepare import (
     Prepared,
     joint_angle,
@@ -392,7 +392,7 @@ def block_sandwich(
     differ between blocks (Liang and Zeger, Biometrika 73 (1986) 13).
     """
     if not names:
-        return Spread((), np.zeros((0, 0)), math.inf)
+        return NO_SPREAD
     rows = _linearised(prepared, values, names, alpha)
     return Spread(tuple(names), *_sandwich(rows, rows.residual))
 

@@ -32,7 +32,7 @@ from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Fit, Identification, Parameter
-from identification.simulate.closed_loop import Sums, compare, compare_angle, pooled, replay
+from identification.simulation.closed_loop import Sums, compare, compare_angle, pooled, replay
 
 COARSE, FINE, NEAR = 12, 17, 1.8
 """Trial Stribeck speeds over the range, and near that of the fit; greatest factor of these."""

@@ -508,7 +508,7 @@ def compare(
     least = [
         min(run.costs[k] for each in runs.values() for run in each) for k in range(len(problems))
     ]
-    reference = default.values()
+    reference = default.values
     whole = _contender(
         DEFAULT, [_Run(reference, (), default.evaluations, default.seconds)], (), reference, truth
     )

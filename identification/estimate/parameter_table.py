@@ -432,18 +432,18 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
 
 def _correlation(spread: Spread, values: Mapping[str, float]) -> tuple[list[str], Array]:
     """Return the names whose variance is finite and above 0, and their correlations."""
-    variance = np.diag(spread.covariance)
+    variance = np.diag(spread.matrix)
     kept = [
         k for k, n in enumerate(spread.names) if 0.0 < variance[k] < math.inf and values[n] != 0.0
     ]
     deviation = np.sqrt(variance[kept])
-    return [spread.names[k] for k in kept], spread.covariance[np.ix_(kept, kept)] / np.outer(
+    return [spread.names[k] for k in kept], spread.matrix[np.ix_(kept, kept)] / np.outer(
         deviation, deviation
     )
 
 
 def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> Array:
-    variance = dict(zip(spread.names, np.diag(spread.covariance), strict=True))
+    variance = dict(zip(spread.names, np.diag(spread.matrix), strict=True))
     return np.array([math.sqrt(variance[n]) / abs(values[n]) for n in names])
 
 
@@ -452,7 +452,7 @@ def _pinned(
 ) -> str:
     """Return a text with the combination of two parameters that has the least variance."""
     j, k = spread.names.index(a), spread.names.index(b)
-    c = spread.covariance
+    c = spread.matrix
     weight = -float(c[j, k] / c[k, k])
     if weight > 0.0 and ((a, b) in _AT_SPEED or (a, b) in _AT_LOAD):
         total = values[a] + weight * values[b]

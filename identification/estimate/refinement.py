@@ -254,8 +254,8 @@ def _unbiased(found: Found, bias: Bias) -> Found:
     positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
     if not (rises and positive):
         return found
-    covariance = found.spread.covariance + _left_open(bias, found.spread.names)
-    return replace(found, values=values, spread=replace(found.spread, covariance=covariance))
+    covariance = found.spread.matrix + _left_open(bias, found.spread.names)
+    return replace(found, values=values, spread=replace(found.spread, matrix=covariance))
 
 
 def _left_open(bias: Bias, names: Sequence[str]) -> Array:
@@ -281,7 +281,7 @@ def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     x[: len(solved.step)] += solved.step
     values = {**found.values, **unpack(there.parameters(x), names)}
     achieved, floor = named_covariances(solved, there, names)
-    spread = replace(found.spread, covariance=achieved + _left_open(bias, names))
+    spread = replace(found.spread, matrix=achieved + _left_open(bias, names))
     return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
 
 

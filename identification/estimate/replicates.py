@@ -38,7 +38,7 @@ from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import both
 from identification.recording import Model
 from identification.result import DEFAULT, ReplicateSettings
-from identification.simulate.drive_loop import Loop, Response, drive_loop, respond
+from identification.simulation.drive_loop import Loop, Response, drive_loop, respond
 
 _SEEDS = 1 << 63
 """Upper limit of the random seeds of the noise."""

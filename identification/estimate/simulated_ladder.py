@@ -31,7 +31,7 @@ from identification.numerics.least_squares import (
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import Prepared, contact_moment, joint_angle, prepare, uniform_grid
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
-from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
+from identification.simulation.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
 
 STEP_S = 2e-3
 """Greatest integration step in a search, s; at most the sample period."""

@@ -70,7 +70,7 @@ def draw_stribeck(
     """Draw the figure of :func:`stribeck` into given axes, with a legend of ``columns`` columns."""
     unit = result.torque_unit
     label: str | None = "fitted"
-    values = result.values()
+    values = result.values
     by_load: dict[float, list[Trace]] = {}
     for trace in result.traces:
         known = moments.get(trace.recording, 0.0)
@@ -186,7 +186,7 @@ def _interval_row(
     label: str | None = result.method
     for row, name in enumerate(names):
         parameter = result.parameters.get(name)
-        reference = (truth or first.values()).get(name)
+        reference = (truth or first.values).get(name)
         if parameter is None or parameter.value is None or not reference:
             axis.text(0.0, row + shift, "  not identifiable", color=color, fontsize=8, va="center")
             continue

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from identification.effects.prediction import Simulation
 from identification.model.parameters import torque_word, unit_on
 from identification.plots.style import (
     BLUE,
@@ -14,6 +15,7 @@ from identification.plots.style import (
     MEASURED,
     MODEL,
     THIN,
+    VERMILION,
     ZERO,
     broken,
     continuing,
@@ -27,7 +29,7 @@ from identification.plots.style import (
 from identification.prepare import Prepared, joint_angle, torque_unit
 from identification.recording import Recording
 from identification.result import Trace
-from identification.simulate.closed_loop import Response, simulated_torque
+from identification.simulation.closed_loop import Response, simulated_torque
 from identification.views.predicted import Predicted
 
 
@@ -86,10 +88,21 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     return made
 
 
-def predicted(part: Predicted, unit: str) -> Figure:
-    """Draw the measured side, the predicted side and the residual of one equation against time."""
+def predicted(part: Predicted, unit: str, band: Simulation | None = None) -> Figure:
+    """Draw the measured side, the predicted side and the residual of one equation against time.
+
+    Args:
+        part: One equation of one recording.
+        unit: Unit of the equation.
+        band: The same prediction with its 90 % band, which is drawn if given.
+    """
     made, (top, bottom) = figure(2, height=5.0, sharex=True)
     few = thinned(len(part.time))
+    if band is not None:
+        ends = (band.low["torque"][few], band.high["torque"][few])
+        top.fill_between(
+            band.time[few], *ends, label="90 % band", color=VERMILION, alpha=0.22, linewidth=0
+        )
     time = part.time[few]
     measured, model = (broken(side[few], continuing(time)) for side in (part.measured, part.model))
     top.plot(time, measured, label="measured, where it moves", **MEASURED)
@@ -102,7 +115,7 @@ def predicted(part: Predicted, unit: str) -> Figure:
     bottom.set_ylabel(f"measured - model ({unit})")
     bottom.set_xlabel("time (s)")
     for axis in (top, bottom):
-        legend_above(axis, 2)
+        legend_above(axis, 3)
     return made
 
 

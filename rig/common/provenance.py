@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
@@ -136,22 +135,3 @@ def heading(schema: str) -> dict[str, Any]:
         "versions": known,
         "created": utc_now().isoformat(timespec="seconds"),
     }
-
-
-def finite(value: float | None) -> float | None:
-    """Return a plain float, or None for infinities and NaN, which JSON does not have."""
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
-def plain(value: Any, *left_out: str) -> Any:
-    """Return a value for JSON: dataclasses as mappings, arrays as lists, NaN as None."""
-    if is_dataclass(value):
-        names = [field.name for field in fields(value) if field.name not in left_out]
-        return {name: plain(getattr(value, name)) for name in names}
-    if isinstance(value, Mapping):
-        return {name: plain(item) for name, item in value.items()}
-    if hasattr(value, "tolist"):  # an array
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return finite(value) if isinstance(value, float) else value

@@ -252,7 +252,7 @@ def view() -> View:
         "voltage": 1.56 * current + 2.6 * velocity,
         "supply_voltage": np.full(len(time), 60.0),
     }
-    recording = Recording("r", channels, BENCH, "loaded", 20.0)
+    recording = Recording(name="r", channels=channels, bench=BENCH, weight_mass=20.0)
     return views([recording], 30.0)[0]
 
 

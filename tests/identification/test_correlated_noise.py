@@ -15,7 +15,7 @@ from identification.estimate.refinement import refine_recordings, refusal
 from identification.filter.segments import Noise
 from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording
-from identification.simulate.drive_loop import respond, usual_loop
+from identification.simulation.drive_loop import respond, usual_loop
 
 PERIOD_S, STAGE_S = 1e-3, 8.0
 COUNT_RAD = 2.0 * np.pi / 409600.0
@@ -33,7 +33,7 @@ def clean() -> Recording:
     angle = np.floor(out.angle / COUNT_RAD) * COUNT_RAD
     channels = {"time": time, "angle": angle, "torque": out.torque}
     return Recording(
-        "run", channels, Bench(moment_arm=0.095), stage="unloaded", averaged=frozenset({"torque"})
+        name="run", channels=channels, bench=Bench(moment_arm=0.095), averaged={"torque"}
     )
 
 

@@ -19,7 +19,7 @@ from identification.estimate.searches import refine_stages
 from identification.filter.likelihood import torque_noise
 from identification.filter.segments import motion
 from identification.prepare import evened, prepare, resting
-from identification.recording import Array, Bench, Dataset, Model, Recording, RecordingError
+from identification.recording import Array, Dataset, Model, Recording, RecordingError
 from identification.result import AcceptanceLimits, Identification
 from identification.signals import quantum
 
@@ -78,7 +78,7 @@ def test_fixed_values_are_held_through_the_refinement(
     recordings = tuple(beginning(r, FEW_S) for r in practical_pair[: 1 + loaded])
     result = identify(Dataset(recordings, Model(fixed={n: TRUTH[n] for n in names})))
     assert result.stages[-1].method == "prediction error"
-    for name, found in result.values().items():
+    for name, found in result.values.items():
         assert found == pytest.approx(TRUTH[name], rel=1e-12 if name in names else 0.008), name
 
 
@@ -93,7 +93,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     # There is no joint fit, and no fit with correlated noise.
     assert result.stages[-1].evaluations < 500
     plain = equation_error(result, recording)
-    assert result.values() == {name: plain[name] for name in result.values()}
+    assert result.values == {name: plain[name] for name in result.values}
 
 
 def test_the_equation_error_shows_missing_physics_before_any_search(
@@ -142,7 +142,7 @@ def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, 
     alone = identify(Dataset((fitted,)), progress=lambda *step: heard.append(step))
     scored = identify(Dataset((fitted, replace(other, role="validate"))))
     assert (heard[0], heard[-1]) == (("unloaded", 0.0), ("joint", 1.0))
-    assert scored.values() == alone.values()
+    assert scored.values == alone.values
     assert scored.fit.train_rms == alone.fit.train_rms
     assert scored.fit.validate_rms == scored.fits_by_recording["other"].train_rms
     assert scored.fit.validate_rms == pytest.approx(scored.fit.train_rms, rel=0.2)
@@ -158,14 +158,14 @@ def test_a_recording_without_breakaways_leaves_the_others_their_refinement(
     alone, both = (identify(Dataset(given)) for given in ((moving,), (moving, short)))
     assert both.noise is not None
     assert any(w.startswith("short: ") for w in both.warnings)
-    for name, value in alone.values().items():
-        assert both.values()[name] == pytest.approx(value, rel=0.01)
+    for name, value in alone.values.items():
+        assert both.values[name] == pytest.approx(value, rel=0.01)
 
 
 def test_exact_channels_are_not_refined() -> None:
     result = identify(Dataset((sine(),)), bandwidth_Hz=500.0, profile=True, draws=20)
     assert [s.method for s in result.stages] == ["variable projection"]
-    assert result.values() == pytest.approx(TRUTH_SYSTEM, rel=1e-6)
+    assert result.values == pytest.approx(TRUTH_SYSTEM, rel=1e-6)
     assert (result.profiles, result.resampled) == ((), ())
     assert ["encoder" in w or "bootstrap" in w for w in result.warnings] == [True, True]
 
@@ -259,7 +259,7 @@ def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
     dataset = Dataset((sine(duration=20.0),))
     parts = identify(dataset, bandwidth_Hz=500.0, in_pieces=True)
     assert "a quantised encoder" in parts.warnings[0]
-    assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
+    assert parts.values == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
 
 
 def test_the_path_follows_the_length(
@@ -281,7 +281,7 @@ STEP = 1e-4
 
 def recording(time: Array) -> Recording:
     angle = np.floor(0.3 * np.sin(3.0 * time) / STEP) * STEP
-    return Recording("r", {"time": time, "angle": angle, "torque": np.cos(3.0 * time)}, Bench())
+    return Recording(time, angle, torque=np.cos(3.0 * time), name="r")
 
 
 def lost(whole: Recording, share: float, seed: int, hole: slice | None = None) -> Recording:
@@ -343,7 +343,7 @@ def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
     assert result.warnings == ()
     for name, value in TRUTH.items():
         limit = {"omega_sL": 0.03, "J": 0.01}.get(name, 0.004)
-        assert result.values()[name] == pytest.approx(value, rel=limit), name
+        assert result.values[name] == pytest.approx(value, rel=limit), name
 
 
 @pytest.mark.parametrize("stated", [True, False])

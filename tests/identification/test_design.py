@@ -35,7 +35,7 @@ from identification.design.simulated import (
 )
 from identification.model.parameters import NOMINAL
 from identification.recording import Array
-from identification.simulate.drive_loop import respond, usual_loop
+from identification.simulation.drive_loop import respond, usual_loop
 
 from .synthetic import BENCH, friction
 

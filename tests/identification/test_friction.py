@@ -106,9 +106,7 @@ def there_and_back(speed: float, jerky: bool = False) -> Recording:
     velocity = np.gradient(command, PERIOD)
     current = system_friction(velocity, NOMINAL, 2.0) / 3.0
     time = PERIOD * np.arange(len(command))
-    return Recording(
-        f"{speed:g}", {"time": time, "command": command, "angle": angle, "current": current}, BENCH
-    )
+    return Recording(time, angle, current, command=command, name=f"{speed:g}", bench=BENCH)
 
 
 def test_each_constant_speed_is_a_point() -> None:

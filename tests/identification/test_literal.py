@@ -66,6 +66,6 @@ def test_all_nine_within_a_hundredth_of_a_percent(joint: Joint) -> None:
     result = identify(
         Dataset((recording(joint, 0.0), recording(joint, 3000.0))), bandwidth_Hz=500.0
     )
-    found = result.values()
+    found = result.values
     for name, field in JOINT_FIELDS.items():
         assert found[name] == pytest.approx(getattr(joint, field), rel=1e-4), name

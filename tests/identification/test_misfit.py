@@ -152,7 +152,7 @@ def equation_error(recordings: tuple[Recording, ...]) -> dict[str, tuple[float, 
     alone = block_sandwich(prepared, values, names, 2.0)
     fit, _ = printed_fit(prepared, False, values, 2.0)
     more = discrepancy(prepared, values, names, 2.0, fit.discrepancy_rms, fit.noise_floor_rms)
-    wide = replace(alone, covariance=alone.covariance + more)
+    wide = replace(alone, matrix=alone.matrix + more)
     table = parameter_table(prepared, values, wide, Model(), {}, fit.floors > MOST_FLOORS)
     return {
         n: (values[n], wide.half_width(n), alone.half_width(n))

@@ -42,7 +42,9 @@ def trace(
     angle = 0.4 * np.sin(time)
     made = Trace(name, "fit", "unloaded", time, angle, velocity, torque, model, torque, used)
     channels = {"time": time, "command": angle, "angle": angle, "torque": torque}
-    return made, Recording(name, channels, Bench(motion=motion, moment_arm=0.095))  # type: ignore[arg-type]
+    return made, Recording(
+        name=name, channels=channels, bench=Bench(motion=motion, moment_arm=0.095)
+    )  # type: ignore[arg-type]
 
 
 def result(method: str = "default", motion: str = "rotary") -> Identification:

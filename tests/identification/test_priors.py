@@ -36,7 +36,7 @@ def test_priors_are_one_more_row_each() -> None:
     more = np.array([[1.0 / 0.2, 0.0, 0.0], [0.0, 0.0, 1.0 / 0.1]])
     both, joint = solved(np.vstack([rows, more]), np.append(wanted, [5.5 / 0.2, 2.5 / 0.1]))
     assert [found[n] for n in NAMES] == pytest.approx(both)
-    assert spread.covariance == pytest.approx(joint)
+    assert spread.matrix == pytest.approx(joint)
     assert [p.name for p in used] == ["Mc", "J"]
     assert used[0].alone == pytest.approx(x[0])
     assert used[0].posterior_uncertainty == pytest.approx(math.sqrt(joint[0, 0]))

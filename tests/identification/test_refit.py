@@ -23,7 +23,7 @@ def recording(name: str, pace: float) -> Recording:
     falling = 4.0 * np.exp(-((speed / 0.06) ** 2))
     torque = -0.2 * pace**2 * angle + np.sign(speed) * (6.0 + falling) + 5.0 * speed
     torque += DRAG * speed * np.abs(speed) + SIDE
-    return Recording(name, {"time": time, "angle": angle, "current": torque / 3.0}, BENCH)
+    return Recording(time, angle, torque / 3.0, name=name, bench=BENCH)
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def dataset() -> Dataset:
 
 
 def test_the_parameters_that_an_effect_had_bent_come_back(dataset: Dataset) -> None:
-    bent = identify(dataset, bandwidth_Hz=20.0).values()
+    bent = identify(dataset, bandwidth_Hz=20.0).values
     model = CorrectedModel(bent, 2.0, EFFECTS)
-    found = refit(dataset, model, 20.0).values()
+    found = refit(dataset, model, 20.0).values
     assert abs(bent["sigma_2"] - 5.0) > 0.5
     assert found["sigma_2"] == pytest.approx(5.0, rel=0.01)
     assert found["Mc"] == pytest.approx(6.0, rel=0.01)
@@ -47,5 +47,7 @@ def test_a_voltage_alone_is_refused(dataset: Dataset) -> None:
     channels["voltage"] = dataset.recordings[0].channels["current"]
     with pytest.raises(RecordingError, match="the recording has neither channel"):
         without_effects(
-            [Recording("v", channels, bench)], CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS), 20.0
+            [Recording(name="v", channels=channels, bench=bench)],
+            CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS),
+            20.0,
         )

@@ -202,7 +202,7 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     small = Bias({"Mc": 0.1, "Ms": -0.1, "omega_sf": 0.001}, dict.fromkeys(names, 1e-6))
     corrected = _unbiased(found, small)
     assert corrected.values == pytest.approx({"Mc": 5.9, "Ms": 12.1, "omega_sf": 0.049})
-    assert np.diag(corrected.spread.covariance) == pytest.approx(1.01e-4)
+    assert np.diag(corrected.spread.matrix) == pytest.approx(1.01e-4)
     for name, shift in (("Ms", 6.5), ("omega_sf", 0.06)):
         assert _unbiased(found, Bias({**small.shifts, name: shift}, small.variances)) is found
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from identification.recording import Bench, Recording
+from identification.recording import Recording
 from identification.signals import (
     Decimator,
     central_difference,
@@ -196,9 +196,7 @@ CLOCK = 1e-3 * np.arange(4000)
 
 def tracked(angle: np.ndarray, command: np.ndarray, current: float = 2.0) -> Recording:
     channels = {"time": CLOCK, "angle": angle, "command": command}
-    return Recording(
-        "r", {**channels, "voltage": np.full(4000, 3.0), "current": np.full(4000, current)}, Bench()
-    )
+    return Recording(channels=channels, voltage=np.full(4000, 3.0), current=np.full(4000, current))
 
 
 def test_a_target_is_due_one_sample_later() -> None:

@@ -28,7 +28,7 @@ from identification.recording import (
     Recording,
     RecordingError,
 )
-from identification.simulate.closed_loop import (
+from identification.simulation.closed_loop import (
     OPEN_LOOP,
     Inputs,
     body_of,
@@ -40,7 +40,7 @@ from identification.simulate.closed_loop import (
     simulate,
     with_friction,
 )
-from identification.simulate.drive_loop import Loop, drive_loop, respond
+from identification.simulation.drive_loop import Loop, drive_loop, respond
 from identification.views.view import views
 
 from .synthetic import TRUTH, sine
@@ -51,9 +51,7 @@ def recording(
 ) -> Recording:
     time = channels.pop("time", np.linspace(0.0, 1.0, 1001))
     channels.setdefault("angle", np.zeros(len(time)))
-    return Recording(
-        "made", {"time": time, **channels}, Bench(), pendulum=pendulum, controller=controller
-    )
+    return Recording(time, channels=channels, name="made", pendulum=pendulum, controller=controller)
 
 
 def inputs(
@@ -125,7 +123,9 @@ def test_the_controller_saturates_and_the_motor_brakes_itself() -> None:
         "command": np.full(501, 1e6),
         "supply_voltage": np.full(501, 6.0),
     }
-    r = Recording("made", channels, bench, controller=Controller("duty", 1.0, limit=0.9))
+    r = Recording(
+        name="made", channels=channels, bench=bench, controller=Controller("duty", 1.0, limit=0.9)
+    )
     out = replay(r, {"J": 0.01}, 2.0)
     assert out.torque[0] == pytest.approx(0.5 / 4.0 * 6.0 * 0.9)
     assert out.velocity[-1] == pytest.approx(6.0 * 0.9 / 0.5, rel=1e-3)
@@ -152,9 +152,9 @@ def test_scores_of_a_simulation_against_itself_and_against_one_without_friction(
     )
     truth = replay(r, TRUTH, 2.0)
     made = Recording(
-        "made",
-        {**r.channels, "angle": truth.angle, "torque": truth.torque},
-        r.bench,
+        name="made",
+        channels={**r.channels, "angle": truth.angle, "torque": truth.torque},
+        bench=r.bench,
         controller=r.controller,
     )
     p = prepare(made, 20.0)

@@ -49,7 +49,7 @@ def test_the_logged_quantity_is_named(
 ) -> None:
     time = np.arange(4) * 1e-3
     recording = Recording(
-        "a", {"time": time, "angle": time, **dict.fromkeys(channels, time)}, Bench(motion=motion)
+        time, time, channels=dict.fromkeys(channels, time), bench=Bench(motion=motion)
     )
     assert drive_channel(recording) == word
     assert torque_unit(recording) == unit

@@ -109,7 +109,7 @@ ANGLE = np.deg2rad(10.0 * np.sin(np.pi * TIME))
 
 def recording(weight: float = 0.0, bench: Bench = BENCH, **channels: Array) -> Recording:
     given = {"time": TIME, "angle": ANGLE, "current": np.zeros(len(TIME)), **channels}
-    return Recording("one", given, bench, stage="loaded", weight_mass=weight)
+    return Recording(name="one", channels=given, bench=bench, stage="loaded", weight_mass=weight)
 
 
 def test_a_hot_firing_presses_with_its_pressure_on_the_impacted_area() -> None:
@@ -155,7 +155,13 @@ def test_the_filter_takes_the_mean_load_of_each_period() -> None:
     pressure = 4e6 - 1e6 * time
     channels = {"time": time, "angle": angle, "current": np.sin(time), "pressure": pressure}
     found = motion(
-        Recording("hot", channels, BENCH, stage="loaded", averaged=frozenset({"current"}))
+        Recording(
+            name="hot",
+            channels=channels,
+            bench=BENCH,
+            stage="loaded",
+            averaged=frozenset({"current"}),
+        )
     )
     at_samples = contact_moment(found.recording, time, angle)
     np.testing.assert_allclose(found.moment[1:], 0.5 * (at_samples[1:] + at_samples[:-1]))

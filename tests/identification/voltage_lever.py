@@ -71,9 +71,9 @@ def lever(
         channels["supply_voltage"] = np.full(len(picked), SUPPLY)
     channels["voltage"] = volts[picked]
     return Recording(
-        f"{mass:g}kg_{length:g}m_{seed}",
-        channels,
-        DECLARED,
+        name=f"{mass:g}kg_{length:g}m_{seed}",
+        channels=channels,
+        bench=DECLARED,
         pendulum=Pendulum(mass, length, 0.1),
         controller=Controller("duty", GAIN, limit=LIMIT) if closed else None,
         role=role,

@@ -103,15 +103,18 @@ def logged(weight: float, seed: int) -> tuple[dict[str, Array], Array]:
 def test_the_inertia_is_biased_before_and_not_after() -> None:
     channels, stamps = logged(0.0, 1)
     bench = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
-    before = prepare(Recording("before", channels, bench, averaged=MEANS), 40.0)
+    before = prepare(Recording(name="before", channels=channels, bench=bench, averaged=MEANS), 40.0)
     biased, _ = solve_stages([before], [], Model(), lambda _stage, _share: None)
     assert biased["J"] < 0.9 * TRUTH["J"]
     on_one_clock = Recording(
-        "after", aligned(channels, stamps, MEANS, 100.0)[0], bench, averaged=MEANS
+        name="after",
+        channels=aligned(channels, stamps, MEANS, 100.0)[0],
+        bench=bench,
+        averaged=MEANS,
     )
     result = identify(Dataset((on_one_clock,)))
     assert result.warnings == ()
-    for name, value in result.values().items():
+    for name, value in result.values.items():
         assert value == pytest.approx(TRUTH[name], rel=0.02 if name == "J" else 0.006), name
 
 

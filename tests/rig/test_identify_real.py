@@ -28,7 +28,7 @@ def result_of(name: str) -> Identification:
 @pytest.mark.recordings
 def test_emps_against_the_published_least_squares(recordings: Path) -> None:
     found = result_of("emps.yaml")
-    values = found.values()
+    values = found.values
     assert values["J"] == pytest.approx(95.1089, rel=0.01)
     assert values["sigma_2"] == pytest.approx(203.5034, rel=0.01)
     assert values["Mc"] == pytest.approx(20.3935, rel=0.01)

@@ -37,9 +37,7 @@ ANGLE = 0.3 * np.sin(2.0 * TIME)
 VELOCITY = np.where(np.abs(np.cos(2.0 * TIME)) < 0.1, 0.0, 0.6 * np.cos(2.0 * TIME))
 ACCELERATION = np.gradient(VELOCITY, TIME)
 CURRENT = 4.0 * np.sign(VELOCITY) + VELOCITY
-RECORDING = Recording(
-    "r", {"time": TIME, "angle": ANGLE, "current": CURRENT}, BENCH, "loaded", 30.6
-)
+RECORDING = Recording(TIME, ANGLE, CURRENT, name="r", bench=BENCH, weight_mass=30.6)
 
 
 def middle(name: str) -> dict[str, float]:

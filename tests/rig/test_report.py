@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from identification.estimate.paper_method import identify_paper
-from identification.recording import Bench, Dataset, Recording
+from identification.numerics.arrays import finite
+from identification.recording import Dataset, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.places import write_json
-from rig.common.provenance import Provenance, finite
+from rig.common.provenance import Provenance
 from rig.results.document import text, write_page
 from rig.results.identify.document import identify_document
 from rig.results.identify.identify import Outcome, identification_record, outcome_record
@@ -34,7 +35,7 @@ def recording(name: str, role: str = "fit") -> Recording:
         "velocity": velocity,
         "torque": torque,
     }
-    return Recording(name, channels, Bench(), role=role, notes=("one <b>correction</b>",))  # type: ignore[arg-type]
+    return Recording(name=name, channels=channels, role=role, notes=("one <b>correction</b>",))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_a_model_that_does_not_fit_heads_terminal_report_and_record(dataset: Dat
 
 def provenance() -> Provenance:
     channels = {"time": np.arange(3.0), "torque": np.zeros(3)}
-    recording = Recording("a", channels, Bench(), source="a.csv", sha256="ab" * 32)
+    recording = Recording(name="a", channels=channels, source="a.csv", sha256="ab" * 32)
     return Provenance.of(7, [recording, recording], 1.25)
 
 

@@ -24,7 +24,6 @@ from rig.results.identify.document import (
     profile_table,
     uncertainty_tables,
 )
-from rig.results.identify.identify import uncertainty_record
 
 RESULT = Identification(
     "default",
@@ -70,7 +69,7 @@ def test_draws_stand_beside_intervals() -> None:
 
 
 def test_the_record_is_json_without_infinities() -> None:
-    record = json.loads(json.dumps(uncertainty_record(RESULT), allow_nan=False))
+    record = json.loads(json.dumps(RESULT.to_dict(), allow_nan=False))
     assert record["bounds_hit"] == ["J"]
     assert record["tradeoffs"][0]["names"] == ["Mc", "sigma_2"]
     assert [s["reached_best"] for s in record["starts"]] == [1, 2]

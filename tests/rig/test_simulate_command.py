@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.recording import Bench, Controller, Recording
-from identification.simulate.closed_loop import replay
+from identification.recording import Controller, Recording
+from identification.simulation.closed_loop import replay
 from rig.cli.entry import status
 
 FRICTION = {"J": 0.2, "Mc": 6.0, "Ms": 11.0, "omega_sf": 0.06, "sigma_2": 5.0}
@@ -28,19 +28,19 @@ recordings:
 """
 
 
-def write_recording(path: Path, frequency: float) -> None:
+def write_recording(path: Path, frequency: float, noise_Nm: float = 0.0) -> None:
     """A loop's response made by the simulation itself: an exact model has to find nothing wrong."""
     time = np.arange(4001) / 500.0
     command = 0.35 * np.sin(2.0 * math.pi * frequency * time)
     loop = Controller("torque", 4000.0, 100.0)
     start = Recording(
-        "made",
-        {"time": time, "command": command, "angle": np.zeros(4001)},
-        Bench(),
+        name="made",
+        channels={"time": time, "command": command, "angle": np.zeros(4001)},
         controller=loop,
     )
     out = replay(start, FRICTION, 2.0)
-    rows = np.column_stack([time, command, out.angle, out.torque])
+    noise = noise_Nm * np.random.default_rng(round(100 * frequency)).normal(size=len(time))
+    rows = np.column_stack([time, command, out.angle, out.torque + noise])
     np.savetxt(path, rows, delimiter=",", header="t,c,q,tau", comments="", fmt="%.12g")
 
 
@@ -81,6 +81,7 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
         assert cases[1.0][role]["torque_rms"] < 1e-6
         assert cases[0.5][role]["torque_rms"] < 0.7 * cases[0.0][role]["torque_rms"]
         assert cases[0.0][role]["torque_relative"] > 0.5
+        assert record["band"]["inside"][role] is None
     assert {Path(entry["file"]).name for entry in record["inputs"]} >= {
         "fit.csv",
         "later.csv",
@@ -88,6 +89,24 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
     }
     assert "angle error (mrad)" in capsys.readouterr().out
     assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_band_holds_the_torque_that_was_set_aside(campaign: Path, tmp_path: Path) -> None:
+    for name, frequency in (("fit", 0.3), ("later", 0.4)):
+        write_recording(tmp_path / f"{name}.csv", frequency, noise_Nm=0.3)
+    found, made = tmp_path / "found.json", tmp_path / "made.json"
+    out = ["--out", str(tmp_path / "out"), "--json"]
+    assert status(["identify", str(campaign), *out, str(found)]) == 0
+    covariance = json.loads(found.read_text())["covariance"]
+    assert np.array(covariance["matrix"]).shape == (len(covariance["names"]),) * 2
+    assert status(["simulate", str(campaign), "--result", str(found), *out, str(made)]) == 0
+    band = json.loads(made.read_text())["band"]
+    assert 0.85 <= band["inside"]["fit"] <= 0.95
+    assert 0.85 <= band["inside"]["validate"] <= 0.97
+    # The recording set aside is faster than the one fitted.
+    assert band["outside"]["fit"] == 0.0
+    assert 0.1 < band["outside"]["later"] < 0.9
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -231,8 +231,9 @@ def simulate(
     The model predicts torque, voltage and the difference of the encoders from the motion, with and
     without the effects of a diagnosis. If the campaign declares a controller, the closed loop is
     also simulated, from its command alone; the errors of this simulation are listed beside those of
-    simulations with half of the friction and without friction. The model as a simulated bench is
-    written next to the report.
+    simulations with half of the friction and without friction. A 90 % band of the torque is stated
+    with the share of the samples that it holds, and recordings that leave the angles, speeds and
+    loads of the fit. The model as a simulated bench is written next to the report.
 
     \b
     Example:

@@ -18,11 +18,12 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure as Sheet
 
+from identification.numerics.arrays import plain
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
 from rig.common.places import replacing, usable
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
-from rig.common.provenance import heading, plain, sha256_file
+from rig.common.provenance import heading, sha256_file
 from rig.common.tables import interval, number, table
 from rig.common.text import valid
 from rig.config.acceptance import Limit

@@ -12,10 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from identification.numerics.arrays import plain
 from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Array, Dataset
 from rig.common.errors import InputError
-from rig.common.provenance import heading, plain
+from rig.common.provenance import heading
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, picture
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.diagnose import as_exact, diagnose
 from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
-from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify_any_length
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
@@ -78,7 +77,7 @@ def diagnose_source(
     if progress is not None:
         progress("reading", 0.0)
     stated = load_source(source, partial=partial)
-    dataset, exact = _as_exact(stated)
+    dataset, exact = as_exact(stated)
     try:
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
@@ -100,26 +99,6 @@ def diagnose_source(
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Outcome(dataset, found, provenance)
-
-
-def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
-    """Return a dataset without priors and uncertainties, and warnings that state this."""
-    constants = uncertain_constants(dataset.part("fit"))
-    warnings = []
-    if constants:
-        listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
-        warnings.append(
-            "the diagnosis takes known constants as exact: its intervals do not contain the "
-            f"uncertainty of {listed}; the intervals of rig identify do"
-        )
-    if dataset.model.priors:
-        warnings.append(
-            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it "
-            "fits these parameters freely"
-        )
-    recordings = tuple(dataclasses.replace(r, uncertainties={}) for r in dataset.recordings)
-    model = dataclasses.replace(dataset.model, priors={})
-    return dataclasses.replace(dataset, recordings=recordings, model=model), warnings
 
 
 def without_torque(dataset: Dataset) -> bool:

@@ -26,12 +26,13 @@ from identification.effects import EFFECTS
 from identification.effects.effect import Effect, Quantity
 from identification.effects.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit
+from identification.numerics.arrays import finite
 from identification.plots import mismatch
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.places import source_name
-from rig.common.provenance import Provenance, finite, heading
+from rig.common.provenance import Provenance, heading
 from rig.common.tables import number, percent, table
 from rig.config.configuration import nearest
 from rig.results.diagnose.diagnose import Outcome

@@ -17,11 +17,11 @@ from identification.effects import EFFECTS
 from identification.effects.effect import Separation
 from identification.effects.model import CorrectedModel
 from identification.export.python import python_text
+from identification.numerics.arrays import plain
 from identification.recording import Bench as Constants
 from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.common.places import source_name
-from rig.common.provenance import plain
 from rig.config.bench import Bench
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench

@@ -13,18 +13,16 @@ from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
 from identification.effects.model import COORDINATES, CorrectedModel, Curve
+from identification.effects.prediction import Fitted
+from identification.numerics.spread import Spread
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, plain
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
 DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
-FIELDS = (
-    *("fit", "fits", "parameter_shift", "p_value", "location", "parameters", "alpha", "steps"),
-    "warnings",
-)
 
 
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
@@ -35,19 +33,11 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
     """
     return {
         **provenance.record(DIAGNOSE_SCHEMA),
-        "verdict": found.verdict.value,
-        "statement": found.statement,
-        **effects_record(found),
-        **{name: plain(getattr(found, name)) for name in FIELDS},
+        **found.to_dict(),
         "motion": dataset.recordings[0].bench.motion,
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
     }
-
-
-def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return what the corrected model adds to the nominal one: effects and empirical curve."""
-    return {"effects": plain(found.effects), "curve": plain(found.curve)}
 
 
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
@@ -126,6 +116,29 @@ def model_of(
             f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})"
         )
     return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
+
+
+def fitted_of(record: Mapping[str, Any], model: CorrectedModel, unit: str) -> Fitted | None:
+    """Return a model with the covariance, torque error and ranges of its result file; None if the
+    file has no covariance, or no torque error in this unit.
+
+    Raises:
+        KeyError: A field is missing.
+        ValueError: A field has no number, or the covariance another shape than its names.
+    """
+    given, found = record.get("covariance"), [*record.get("fits", ()), record.get("fit", {})]
+    errors = [f for f in found if (f.get("equation", "torque"), f.get("unit")) == ("torque", unit)]
+    if not given or not given["names"] or not errors:
+        return None
+    names = [str(n) for n in given["names"] if n in model.values]
+    size = len(given["names"])
+    at = [given["names"].index(n) for n in names]
+    matrix = np.array(given["matrix"], dtype=float).reshape(size, size)[np.ix_(at, at)]
+    freedom = math.inf if given["freedom"] is None else float(given["freedom"])
+    noise = errors[0]["final_rms"] if "final_rms" in errors[0] else errors[0]["train_rms"]
+    ranges = {n: (float(low), float(high)) for n, (low, high) in record["ranges"].items()}
+    spread = Spread(tuple(names), matrix, freedom)
+    return Fitted(model, spread, {"torque": float(noise)}, ranges, errors[0]["bandwidth_Hz"])
 
 
 def _effect(

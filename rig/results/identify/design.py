@@ -17,10 +17,11 @@ from identification.design.propose import Proposal, propose
 from identification.design.search import Bounds, Excitation, Frame, Part
 from identification.design.simulated import NAMES, Intervals, PlannedModel, Sensors
 from identification.model.parameters import NOMINAL
+from identification.numerics.arrays import finite
 from identification.recording import Recording
-from identification.simulate.drive_loop import drive_loop
+from identification.simulation.drive_loop import drive_loop
 from rig.common.errors import InputError
-from rig.common.provenance import finite, heading, sha256_file
+from rig.common.provenance import heading, sha256_file
 from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection

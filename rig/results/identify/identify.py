@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,11 +19,12 @@ from identification.estimate.ladder import Rung, Transfer, climb, transfer
 from identification.estimate.paper_method import Contender, compare, identify_paper
 from identification.estimate.simulated_ladder import SimulatedRung, climb_simulated
 from identification.model.parameters import LADDER, SIMULATED
+from identification.numerics.arrays import finite, plain
 from identification.recording import Dataset, RecordingError
-from identification.result import Identification
+from identification.result import Identification, by_name
 from rig.common.errors import InputError
 from rig.common.places import is_folder
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite, plain
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
@@ -215,7 +216,7 @@ def compare_methods(
 def outcome_record(outcome: Outcome) -> dict[str, Any]:
     """Return the record of ``rig identify --json``."""
     first, *others = outcome.results
-    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
+    record = identification_record(first, outcome.provenance)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     record["partial"] = partial_names(outcome.dataset)
     if others:
@@ -233,43 +234,7 @@ def outcome_record(outcome: Outcome) -> dict[str, Any]:
 
 def identification_record(result: Identification, provenance: Provenance) -> dict[str, Any]:
     """Return the record of one method."""
-    return {
-        **provenance.record(IDENTIFY_SCHEMA),
-        "method": result.method,
-        "motion": result.motion,
-        "alpha": result.alpha,
-        "friction": result.friction,
-        "fitted": plain(result.fitted),
-        "parameters": _by_name(result.parameters.values()),
-        "fit": {**plain(result.fit), "explained": finite(result.fit.explained)},
-        "misfit": [str(code) for code in result.misfit],
-        "fit_by_recording": plain(result.fits_by_recording),
-        "evaluations": result.evaluations,
-        "stages": [plain(s, "cost_history", "parameter_history") for s in result.stages],
-        "convergence": {
-            s.stage: {"cost": plain(s.cost_history), "parameters": plain(s.parameter_history)}
-            for s in result.stages
-            if s.cost_history is not None
-        },
-        "warnings": list(result.warnings),
-    }
-
-
-def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return trade-offs, bounds, starts, profiles, bootstrap, priors and known constants."""
-    return {
-        "tradeoffs": plain(result.tradeoffs),
-        "least_pinned": result.least_pinned,
-        "noise": plain(result.noise),
-        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
-        "starts": [
-            {**plain(s, "reached", "absolute"), "reached_best": s.best} for s in result.starts
-        ],
-        "profiles": _by_name(result.profiles),
-        "bootstrap": _by_name(result.resampled),
-        "priors": _by_name(result.priors),
-        "known_constants": plain(result.known_constants),
-    }
+    return {**provenance.record(IDENTIFY_SCHEMA), **result.to_dict()}
 
 
 def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
@@ -278,7 +243,7 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
         {
             "friction": rung.friction,
             "terms": list(LADDER[rung.friction]),
-            "parameters": _by_name(rung.result.parameters.values()),
+            "parameters": by_name(rung.result.parameters.values()),
             "fitted": plain(rung.result.fitted),
             "fit": plain(rung.result.fit),
             "train_rms": plain(rung.train),
@@ -347,7 +312,3 @@ def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
 def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
     """Return the comparison of methods for the result file; errors are relative."""
     return [{**plain(c, "excess"), "cost_above_least": finite(c.excess)} for c in contenders]
-
-
-def _by_name(records: Iterable[Any]) -> dict[str, Any]:
-    return {record.name: plain(record, "name") for record in records}

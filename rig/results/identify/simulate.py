@@ -10,12 +10,16 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from identification.effects import prediction
 from identification.effects.model import CorrectedModel, predictions, views_for
+from identification.effects.prediction import Simulation as Banded
 from identification.estimate.bandwidth import choose_bandwidth
 from identification.plots.signals import predicted, simulated
 from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
-from identification.simulate.closed_loop import (
+from identification.simulation.closed_loop import (
     Response,
     Sums,
     compare,
@@ -28,7 +32,7 @@ from rig.common.errors import InputError
 from rig.common.provenance import Provenance, sha256_file
 from rig.common.tables import number, percent
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
-from rig.results.diagnose.model_file import model_of, read_result, require_motion
+from rig.results.diagnose.model_file import fitted_of, model_of, read_result, require_motion
 from rig.results.document import (
     Document,
     Note,
@@ -109,6 +113,8 @@ class Simulation:
         responses: Responses of the first model with full friction, in the order of the recordings.
         bandwidth_Hz: Bandwidth of the torque errors.
         short: Texts on recordings that are too short for the bandwidth and left out.
+        bands: Torque of the first model with its 90 % band, in the order of the recordings; empty
+            if its result file has no covariance.
     """
 
     dataset: Dataset
@@ -120,6 +126,18 @@ class Simulation:
     bandwidth_Hz: float
     provenance: Provenance
     short: tuple[str, ...] = ()
+    bands: tuple[Banded, ...] = ()
+
+    def inside(self, role: str) -> float | None:
+        """Return the share of the measured torque that is in its band, or None without samples."""
+        known = [
+            ((b.low["torque"] <= b.measured) & (b.measured <= b.high["torque"]))[moving]
+            for r, b in zip(self.dataset.recordings, self.bands, strict=False)
+            if r.role == role and b.measured is not None
+            for moving in [np.isfinite(b.measured)]
+        ]
+        held = np.concatenate(known) if known else np.zeros(0)
+        return float(np.mean(held)) if len(held) else None
 
     @property
     def unit(self) -> str:
@@ -158,6 +176,7 @@ def simulate_source(
         dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
         predictions = predict(dataset, models, bandwidth_Hz)
+        bands = _bands(results[0], records[0], models[0][1], dataset, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
         cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
@@ -175,6 +194,28 @@ def simulate_source(
         bandwidth_Hz,
         dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
         short,
+        bands,
+    )
+
+
+def _bands(
+    path: Path,
+    record: Mapping[str, Any],
+    model: CorrectedModel,
+    dataset: Dataset,
+    bandwidth_Hz: float,
+) -> tuple[Banded, ...]:
+    """Return the torque of every recording's motion with its band, with a fixed seed."""
+    try:
+        fitted = fitted_of(record, model, torque_unit(dataset.recordings[0]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: covariance: damaged: {error}; make the result again") from error
+    if fitted is None:
+        return ()
+    fitted = dataclasses.replace(fitted, bandwidth_Hz=bandwidth_Hz)
+    rng = np.random.default_rng(0)
+    return tuple(
+        prediction.predict(fitted, recording, "motion", rng=rng) for recording in dataset.recordings
     )
 
 
@@ -249,13 +290,13 @@ def _summary(found: Simulation) -> Iterator[Section]:
     if found.cases:
         head = f"closed loop, simulated from the first sample; torque filtered to {bandwidth}"
         yield Section(head, (_pooled(found),))
-    for line in _left_out(found):
+    for line in (*_band_lines(found), *_left_out(found)):
         yield Section("", (Note(line, "aside"),))
 
 
 def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
     yield Section("", tuple(map(Paragraph, (*_explanations(found), *beside))))
-    drawn = _predicted(found.predictions, found.unit)
+    drawn = _predicted(found)
     yield Section("Equation errors", (_errors_of_equations(found), *drawn))
     if found.cases:
         yield Section("Closed loop", (_pooled(found),))
@@ -266,13 +307,26 @@ def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
 def _explanations(found: Simulation) -> Iterator[str]:
     at = f"at {number(found.bandwidth_Hz, 4)} Hz"
     yield f"Equation errors are over samples in motion, {at}."
-    yield from _left_out(found)
+    yield from (*_band_lines(found), *_left_out(found))
     if found.cases:
         yield (
             "The closed loop is simulated from the first sample on; its inputs are only the "
             "command, the supply and the declared loads."
         )
         yield f"Errors of angle are over all samples; errors of torque are {at}."
+
+
+def _band_lines(found: Simulation) -> Iterator[str]:
+    """Yield what the band of the torque holds, and where the recordings leave those of the fit."""
+    shares = {role: found.inside(role) for role in ("fit", "validate")}
+    held = [f"{percent(100.0 * s)} ({role})" for role, s in shares.items() if s is not None]
+    if held:
+        yield (
+            "the 90 % band of the torque, from the uncertainty of the parameters and the error of "
+            f"the fit, holds {', '.join(held)} of the samples in motion"
+        )
+    for recording, band in zip(found.dataset.recordings, found.bands, strict=False):
+        yield from (f"{recording.name}: {warning}" for warning in band.warnings)
 
 
 def _left_out(found: Simulation) -> list[str]:
@@ -354,14 +408,16 @@ def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
     )
 
 
-def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
+def _predicted(found: Simulation) -> list[Picture]:
     """Return figures of the first model's torque equation, for a few recordings."""
-    parts = [p for p in found[0].parts if p.equation == "torque"]
+    parts = [p for p in found.predictions[0].parts if p.equation == "torque"]
+    names = [r.name for r in found.dataset.recordings]
+    bands = dict(zip(names, found.bands, strict=False))
     return [
         Picture.of(
             f"predicted_{p.recording}",
             f"{p.recording} ({p.role}): torque measured and predicted",
-            predicted(p, unit),
+            predicted(p, found.unit, bands.get(p.recording)),
         )
         for p in few_of_each_role(parts, lambda part: part.role, _SHOWN_PER_ROLE)
     ]
@@ -392,6 +448,13 @@ def simulation_record(found: Simulation) -> dict[str, Any]:
         "angle_unit": "rad" if found.rotary else "m",
         "bandwidth_Hz": found.bandwidth_Hz,
         "equations": _record_errors(found),
+        "band": {
+            "inside": {role: found.inside(role) for role in ("fit", "validate")},
+            "outside": {
+                r.name: float(np.mean(b.outside))
+                for r, b in zip(found.dataset.recordings, found.bands, strict=False)
+            },
+        },
         "cases": [_case_record(found, case) for case in found.cases],
     }
 

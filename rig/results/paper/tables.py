@@ -14,12 +14,13 @@ import numpy as np
 
 from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
+from identification.numerics.arrays import finite
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.fit import spread
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.result import Convergence, Identification
-from rig.common.provenance import Provenance, finite
+from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence

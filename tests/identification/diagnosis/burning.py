@@ -70,6 +70,11 @@ def recordings(
             "pressure": QUANTUM_PA * np.round(seen / QUANTUM_PA),
         }
         out.append(
-            Recording(f"burn_{k}", channels, BENCH, role="fit" if k < len(moving) else "validate")
+            Recording(
+                name=f"burn_{k}",
+                channels=channels,
+                bench=BENCH,
+                role="fit" if k < len(moving) else "validate",
+            )
         )
     return Dataset(tuple(out))

@@ -145,7 +145,9 @@ def _ramp(hunting_rad_s: float) -> View:
     swing = hunting_rad_s / (2.0 * np.pi * 80.0) * np.sin(2.0 * np.pi * 80.0 * time) * (time > 3.0)
     angle = np.round((0.05 * time + swing) / COUNT_RAD) * COUNT_RAD
     channels = {"time": time, "motor_angle": 100.0 * angle, "current": np.ones(len(time))}
-    recording = Recording("ramp", channels, BENCH, "unloaded", 0.0, averaged=frozenset({"current"}))
+    recording = Recording(
+        name="ramp", channels=channels, bench=BENCH, averaged=frozenset({"current"})
+    )
     return views([recording], 25.0)[0]
 
 

@@ -38,9 +38,7 @@ def _recording() -> Recording:
         "voltage": _law(TIME, seen),
         "supply_voltage": np.full(len(TIME), SUPPLY_V),
     }
-    return Recording(
-        "r", {"time": TIME, **channels}, BENCH, "unloaded", 0.0, controller=Controller("duty", GAIN)
-    )
+    return Recording(TIME, channels=channels, bench=BENCH, controller=Controller("duty", GAIN))
 
 
 def test_only_the_command_in_a_computed_voltage_is_early() -> None:

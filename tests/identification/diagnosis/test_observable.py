@@ -26,7 +26,7 @@ from identification.diagnosis.significance import (
     rests_under_torque,
 )
 from identification.effects import MOTION
-from identification.recording import Array, Bench, Dataset, Model, Recording
+from identification.recording import Array, Dataset, Model, Recording
 from identification.views.view import View, views
 
 from .benches import campaign, nominal_fit
@@ -53,7 +53,7 @@ def one_way(role: str, seed: int, amplitude_A: float) -> Recording:
         "angle": np.round(angle / 1e-4) * 1e-4,
         "current": current + 0.004 * rng.standard_normal(len(time)),
     }
-    return Recording(f"turn {seed}", channels, Bench(gear_ratio=1.0), "unloaded", role=role)  # type: ignore[arg-type]
+    return Recording(name=f"turn {seed}", channels=channels, role=role)  # type: ignore[arg-type]
 
 
 def test_effects_of_one_regressor_are_alike_and_others_are_not() -> None:

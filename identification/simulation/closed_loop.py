@@ -266,24 +266,55 @@ def simulate(
     return Response(inputs.time, angles, speeds, torques)
 
 
-def replay(
-    recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S
-) -> Response:
-    """Simulate a recording with the fitted ``values`` and the command of the recording, from rest
-    at the first recorded angle.
+def driven_inputs(recording: Recording) -> Inputs:
+    """Return the inputs without a controller: the recorded torque, or that of the recorded current,
+    drives the joint.
 
-    After the first sample only the command, the supply voltage and the declared loads are used.
+    Raises:
+        RecordingError: The recording has neither torque nor current.
     """
-    inputs = inputs_of(recording)
-    assert recording.controller is not None  # otherwise `inputs_of` raises
-    measured = joint_angle(recording)
-    if measured is None:
+    name = next((c for c in ("torque", "current") if c in recording.channels), None)
+    if name is None:
         raise RecordingError(
-            f"{recording.name}: the recording has no angle channel, and a simulation starts from "
-            "the measured angle; add a channel `angle` or `motor_angle`"
+            f"{recording.name}: a simulation needs a `command` channel with the `controller` that "
+            "follows it, or a `torque` or `current` channel"
         )
-    loop = loop_of(recording.controller, recording.bench, recording.name)
-    return simulate(body_of(values, recording, alpha), loop, inputs, float(measured[0]), 0.0, step)
+    drive = recording.channels[name] * (recording.bench.ampere_torque if name == "current" else 1)
+    if name in recording.averaged:
+        drive = np.append(drive[1:], drive[-1:])  # the mean over the period that ends at a sample
+    n, angle = len(recording.time), joint_angle(recording)
+    moment = contact_moment(recording, recording.time, np.zeros(n) if angle is None else angle)
+    return Inputs(recording.time, np.zeros(n), np.ones(n), drive, moment)
+
+
+def replay(
+    recording: Recording,
+    values: Mapping[str, float],
+    alpha: float,
+    step: float = STEP_S,
+    *,
+    driven: bool = False,
+    disturbance: Array | float = 0.0,
+) -> Response:
+    """Simulate a recording with the fitted ``values``, from rest at its first angle, or without an
+    angle at its first command; driven without a command, at 0.
+
+    After the first sample only the command, the supply voltage and the declared loads are used, or
+    if ``driven`` the recorded torque. ``disturbance`` is a further torque on the joint, N m, shape
+    (n,), which is not in the drive's torque.
+
+    Raises:
+        RecordingError: A channel, a constant or the controller that the simulation needs is
+            missing.
+    """
+    inputs, loop = (driven_inputs if driven else inputs_of)(recording), OPEN_LOOP
+    if not driven and recording.controller is not None:
+        loop = loop_of(recording.controller, recording.bench, recording.name)
+    measured = joint_angle(recording)
+    start = float((inputs.command if measured is None else measured)[0])
+    fed = replace(inputs, added=inputs.added + disturbance / loop[PER_OUTPUT])
+    found = simulate(body_of(values, recording, alpha), loop, fed, start, 0.0, step)
+    return replace(found, torque=found.torque - disturbance)
 
 
 FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
