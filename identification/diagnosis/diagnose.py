@@ -65,7 +65,7 @@ from identification.diagnosis.within_limits import (
     long_enough,
     views_and_fit,
 )
-from identification.effects import EFFECTS, MOTION
+from identification.effects import EFFECTS, MOTION, with_own
 from identification.effects.effect import Effect
 from identification.effects.model import CorrectedModel
 from identification.estimate.covariance import uncertain_constants
@@ -86,6 +86,7 @@ def diagnose(
     progress: Progress | None = None,
     inspect: Callable[[Joint], None] | None = None,
     estimate: Estimate | None = None,
+    effects: Sequence[Effect | type[Effect]] = (),
 ) -> Diagnosis:
     """Test whether effects are missing from the nominal model; identify and locate these effects.
 
@@ -98,9 +99,12 @@ def diagnose(
         estimate: The estimator of ``rig identify``, whose constants are those of the nominal
             model; the constants of the corrected model are refined by prediction errors too. With
             None, the constants are those of the fit of the rows.
+        effects: Effects of one's own (:class:`identification.effects.own.OwnEffect`), which are
+            searched beside those of the catalogue.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
+        EffectError: An effect of one's own fails, or has the name of another effect.
     """
     clock, rng = perf_counter(), rng or np.random.default_rng(0)
     report: Progress = progress or (lambda _stage, _share: None)
@@ -109,7 +113,7 @@ def diagnose(
     everything, bandwidth, short = long_enough(dataset, bandwidth_Hz)
     dataset, _, resting = choose(everything, bandwidth)
     here, first = views_and_fit(dataset, bandwidth)
-    terms, why = _effects_to_search(dataset, here)
+    terms, why = _effects_to_search(dataset, here, effects)
     if inspect is not None:
         inspect(first)
     task = _Task(dataset, first, bandwidth, rng, report)
@@ -117,11 +121,11 @@ def diagnose(
     report("identifying the nominal parameters", 0.96)
     nominal, more = _nominal_constants(everything, found, estimate)
     whole = _Whole(everything, found, nominal, bandwidth, estimate is not None, rng)
-    effects = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
-    shown = _shown(whole, judged, effects)
+    identified = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
+    shown = _shown(whole, judged, identified)
     if (doubt := _doubt(shown, judged)) is not None:
         where = judged.where or place_of(found, judged.maps)
-        names = tuple(e.name for e in effects)
+        names = tuple(e.name for e in identified)
         why_not = Reason(doubt, found, names, left=floors_left(shown.main))
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
         shown = _shown(whole, judged, ())
@@ -149,7 +153,7 @@ def diagnose(
         warnings=(
             *short,
             *resting,
-            *warnings_of(dataset, here, unseen),
+            *warnings_of(dataset, here, [t for t in terms if t.name in unseen]),
             *why,
             *more,
             *shown.constants.warnings,
@@ -231,7 +235,7 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
                 after = curved
     final = found.final if effects else found.baseline
     place = judged.maps[0].equation if judged.maps else "torque"
-    modelled = {e for effect in effects for e in EFFECTS[effect.name].exported}
+    modelled = {e for n in after.model.effects for e in after.model.catalogue[n].exported}
     if effects and place not in modelled:
         place = next((e.name for e in found.baseline.equations if e.name in modelled), place)
     fits = fits_of(found.baseline, final, before, within, after, bandwidth, place)
@@ -346,7 +350,9 @@ def judge(
 
 
 def observable_effects(
-    dataset: Dataset, bandwidth_Hz: float | None = None
+    dataset: Dataset,
+    bandwidth_Hz: float | None = None,
+    effects: Sequence[Effect | type[Effect]] = (),
 ) -> tuple[Observable, ...]:
     """Return which effects these recordings can show, at which size, and which effects they cannot
     distinguish.
@@ -355,13 +361,15 @@ def observable_effects(
         dataset: Recordings; those with role ``validate`` are not used.
         bandwidth_Hz: Bandwidth of all errors, or None for the bandwidth that :func:`diagnose`
             chooses.
+        effects: Effects of one's own, beside those of the catalogue.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model.
+        EffectError: An effect of one's own fails, or has the name of another effect.
     """
     dataset, bandwidth, _ = choose(dataset, bandwidth_Hz)
     here, nominal = views_and_fit(dataset, bandwidth)
-    return observable(nominal, _effects_to_search(dataset, here)[0])
+    return observable(nominal, _effects_to_search(dataset, here, effects)[0])
 
 
 def _findings(
@@ -419,12 +427,13 @@ def _search_sides(
 
 
 def _effects_to_search(
-    dataset: Dataset, here: Sequence[View]
+    dataset: Dataset, here: Sequence[View], own: Sequence[Effect | type[Effect]]
 ) -> tuple[list[Effect], tuple[str, ...]]:
     """Return the effects to search for, and warnings that state why others are excluded."""
     excluded, why = unrecorded_effects(dataset.part("fit"), here)
     left_out = {*dataset.model.terms, *excluded}
-    return [t for t in MOTION if t.name not in left_out], why
+    more = list(with_own(own).values())[len(EFFECTS) :]
+    return [t for t in (*MOTION, *more) if t.name not in left_out], why
 
 
 def as_exact(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:

@@ -41,7 +41,6 @@ from identification.diagnosis.within_limits import (
     parameter_derivatives,
     within_limits,
 )
-from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect, title
 from identification.recording import Array
 from identification.views.view import View
@@ -362,7 +361,8 @@ def _with_rivals_judged(
         tried = within_limits(rival.joint)
         there = _seen_aside(case, tried, rival.name)
         # The torque during crossings has already decided between a gap and a loop.
-        if distinguished_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
+        own = next(e.term for e in joint.effects if e.term.name == taken.name)
+        if distinguished_by_crossings(own, rival.effect.term):
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen

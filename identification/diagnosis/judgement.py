@@ -27,7 +27,6 @@ from identification.diagnosis.search import Search
 from identification.diagnosis.significance import greatest, over_own_noise
 from identification.diagnosis.stack import Stack
 from identification.diagnosis.statement import finding
-from identification.effects import EFFECTS
 from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Array, Bench
@@ -220,7 +219,7 @@ def _effect(
     excess: Mapping[str, Excess],
     rng: np.random.Generator,
 ) -> IdentifiedEffect:
-    entry = EFFECTS[taken.name]
+    entry = found.final.effects[k].term
     motion, amperes = own_bench(found).motion, found.baseline.equations[0].unit == "A"
     units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}

@@ -17,6 +17,7 @@ from identification.diagnosis.result import Fit, IdentifiedEffect, Map, Residual
 from identification.diagnosis.rows import AT_INSTANTS, Equation
 from identification.diagnosis.rules import RULES
 from identification.effects import EFFECTS
+from identification.effects.effect import Effect
 from identification.effects.model import (
     COORDINATES,
     CorrectedModel,
@@ -139,17 +140,18 @@ def model_with(
     alpha: float,
     effects: Sequence[IdentifiedEffect],
     dataset: Dataset,
+    catalogue: Mapping[str, Effect] = EFFECTS,
 ) -> CorrectedModel:
     """Return the model of these nominal parameters and effects."""
     names = [r.name for r in dataset.recordings]
     given: dict[str, dict[str, float]] = {}
     for effect in effects:
         values = {n: float(e.value) for n, e in effect.parameters.items()}
-        if EFFECTS[effect.name].place is not None:
+        if catalogue[effect.name].place is not None:
             shown = [names.index(r) for r in effect.where.recordings if r in names]
             values["recording"] = 1.0 + min(shown, default=0)
         given[effect.name] = values
-    return CorrectedModel(dict(constants), alpha, given)
+    return CorrectedModel(dict(constants), alpha, given, catalogue=catalogue)
 
 
 def reported(
@@ -169,15 +171,16 @@ def reported(
     or the motion that friction depends on, the constants are those before.
     """
     beside, alpha = unreported_constants(final), final.nominal.fitted_alpha or final.nominal.alpha
-    terms = [EFFECTS[e.name] for e in effects]
+    catalogue = {e.term.name: e.term for e in final.effects} | EFFECTS
+    terms = [catalogue[e.name] for e in effects]
     acting = any(t.flexible or {"torque", "breakaway"} & {*t.columns} for t in terms)
 
     def scored(constants: Constants) -> tuple[Scores, Constants]:
-        model = model_with({**constants.values, **beside}, alpha, effects, dataset)
+        model = model_with({**constants.values, **beside}, alpha, effects, dataset, catalogue)
         return _settled(dataset, scores(dataset, model, bandwidth_Hz), constants, bandwidth_Hz)
 
     if not acting:
-        model = model_with({**before.values, **beside}, alpha, effects, dataset)
+        model = model_with({**before.values, **beside}, alpha, effects, dataset, catalogue)
         return scores(dataset, model, bandwidth_Hz), before
     best = scored(constants_of(final))
     samples = sum(len(r.time) for r in dataset.part("fit"))

@@ -11,7 +11,6 @@ import numpy as np
 from identification.diagnosis.reasons import Reason
 from identification.diagnosis.result import Estimate, Fit, IdentifiedEffect, Location, Verdict
 from identification.diagnosis.rules import RULES
-from identification.effects import EFFECTS
 from identification.effects.effect import Effect, title
 from identification.recording import Dataset
 from identification.views.view import View
@@ -186,15 +185,17 @@ def unobservable_sentence(names: Sequence[str]) -> str:
     )
 
 
-def warnings_of(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
+def warnings_of(
+    dataset: Dataset, here: Sequence[View], unseen: Sequence[Effect]
+) -> tuple[str, ...]:
     """Return warnings on effects that the recordings cannot show, on missing recordings with role
     ``validate``, and on recordings without steady motion.
     """
     warnings = []
     if unseen:
         warnings.append(
-            f"{unobservable_sentence(unseen)}; an experiment that would show this: "
-            f"{' '.join(EFFECTS[n].experiment for n in unseen)}"
+            f"{unobservable_sentence([e.name for e in unseen])}; an experiment that would show "
+            f"this: {' '.join(e.experiment for e in unseen)}"
         )
     if not dataset.part("validate"):
         warnings.append(

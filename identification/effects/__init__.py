@@ -5,12 +5,13 @@ else names an effect.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 
 from identification.effects import device, friction, gas_generator, motor, sensing, transmission
 from identification.effects.effect import Effect
 from identification.effects.gas_generator import GasGeneratorEffect
+from identification.effects.own import EffectError, OwnEffect
 
 
 def _of(module: ModuleType) -> tuple[Effect, ...]:
@@ -31,3 +32,20 @@ GAS: tuple[GasGeneratorEffect, ...] = tuple(
 """
 EFFECTS: Mapping[str, Effect] = {e.name: e for e in (*MOTION, *GAS)}
 """Name to effect, in the order of the catalogue."""
+
+
+def with_own(effects: Sequence[Effect | type[Effect]]) -> Mapping[str, Effect]:
+    """Return the catalogue with effects of one's own, by name.
+
+    Raises:
+        EffectError: Two effects have one name.
+    """
+    found = dict(EFFECTS)
+    for given in effects:
+        entry = given() if isinstance(given, type) else given
+        if entry.name in found:
+            place = entry.placed if isinstance(entry, OwnEffect) else ""
+            other = "the catalogue has" if entry.name in EFFECTS else "there is"
+            raise EffectError(f"{place}{entry.name}: {other} an effect of this name; rename it")
+        found[entry.name] = entry
+    return found

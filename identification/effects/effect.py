@@ -81,19 +81,21 @@ class Dimension(Enum):
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of an effect, with its dimension and its plausible range on the practical
-    bench.
+    """A parameter of an effect, with its dimension and its plausible range on the practical bench.
+
+    The dimension of a parameter of an effect of one's own is its unit, and its range is that on the
+    bench of the recordings.
     """
 
     name: str
-    dimension: Dimension
+    dimension: Dimension | str
     low: float
     high: float
 
     @property
     def unit(self) -> str:
         """SI unit on a rotary bench."""
-        return self.dimension.unit
+        return self.dimension if isinstance(self.dimension, str) else self.dimension.unit
 
 
 class Needs(Enum):

@@ -80,22 +80,25 @@ class CorrectedModel:
         effects: Name of each effect to its parameters; an effect that occurs in one recording only
             has the parameter ``recording``, the number of this recording, counted from 1.
         curve: Empirical curve of a mismatch outside the catalogue, or None.
+        catalogue: Name of each effect to its definition; with effects of one's own, more than the
+            catalogue.
     """
 
     parameters: Mapping[str, float]
     alpha: float = 2.0
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     curve: Curve | None = None
+    catalogue: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS, repr=False)
 
     @cached_property
     def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, tuple[float, ...]]]]:
         """Nominal values for the regressors, and parameters and coefficients of each effect."""
         plain = nominal = Nominal(self.parameters, (), self.alpha)
-        placed = {n: EFFECTS[n].at(given, plain) for n, given in self.effects.items()}
+        placed = {n: self.catalogue[n].at(given, plain) for n, given in self.effects.items()}
         for name, (shape, coefficients) in placed.items():
-            nominal = EFFECTS[name].feeds_back(nominal, shape, coefficients)
+            nominal = self.catalogue[name].feeds_back(nominal, shape, coefficients)
         for name, (shape, coefficients) in placed.items():
-            nominal, shape = EFFECTS[name].begin(nominal, shape)
+            nominal, shape = self.catalogue[name].begin(nominal, shape)
             placed[name] = shape, coefficients
         return nominal, placed
 
@@ -159,7 +162,7 @@ class CorrectedModel:
         torque.
         """
         for name, (shape, coefficients) in self._fitted[1].items():
-            effect = EFFECTS[name]
+            effect = self.catalogue[name]
             columns = {e: c for e, c in effect.columns.items() if e in effect.exported}
             if equation == "torque" and "torque" not in columns and "breakaway" in columns:
                 columns["torque"] = columns["breakaway"]
@@ -272,7 +275,7 @@ def views_for(
     Raises:
         RecordingError: A recording does not allow this bandwidth.
     """
-    if any(EFFECTS[name].flexible for name in model.effects):
+    if any(model.catalogue[name].flexible for name in model.effects):
         found = views(recordings, bandwidth_Hz, True, campaign)
         if sum(int(np.sum(v.moving)) for v in found) >= LEAST_MOTION:
             return found

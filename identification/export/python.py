@@ -8,12 +8,13 @@ import pprint
 import re
 import textwrap
 from collections.abc import Iterator
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
 
 from identification.effects.model import COORDINATES, CorrectedModel, Response
+from identification.effects.own import OwnEffect, Seen, sampled, samples_of
 from identification.numerics.arrays import Array
 from identification.numerics.series import sine_cosine
 from identification.recording import Recording
@@ -21,6 +22,23 @@ from identification.views.nominal import NominalTorque, winding_voltage
 
 _CACHED = re.compile(r"^ *@(compiled|recent)\n", re.MULTILINE)
 """Decorators of functions that the file has without compiler and cache."""
+_DECORATORS = re.compile(r"\A(?:@(?:.|\n)*?\n)?(?=def )")
+"""Decorators of a user's function."""
+_TAKEN = frozenset(
+    {"Array", "Any", "CURVE", "DRIVE", "EFFECTS", "M", "NOMINAL", "NamedTuple", "Nominal", "TORQUE"}
+    | {"TRANSMISSION", "VOLTAGE", "drive", "signals", "torque", "twist", "voltage"}
+)
+"""Names that the file defines itself."""
+_OWN = """\
+def {name}(s: Any, nominal: Any, shape: Any) -> Array:
+    found = []
+    for one in {coefficients!r} or ("",):
+        values = dict(zip({searched!r}, shape)) | {{n: float(n == one) for n in {coefficients!r}}}
+        p = namedtuple("Parameters", {names!r})(**values)
+        found.append(np.asarray({series}, dtype=float))
+    return np.stack(found)
+"""
+"""Response of an effect of one's own to each of its coefficients."""
 _PLAIN = {
     sine_cosine: '''\
 def sine_cosine(frequency: float, angle: Array) -> Array:
@@ -281,6 +299,8 @@ class _Source:
     def response(self, response: Response, table: str) -> str:
         """Add the regressors of an effect; return the name of their function in the file."""
         function = response.columns
+        if isinstance(response.effect, OwnEffect):
+            return self._own(response.effect, table)
         if "." not in function.__qualname__:
             self.add(function)
             return function.__name__
@@ -289,6 +309,38 @@ class _Source:
         text = textwrap.dedent(inspect.getsource(function)).removeprefix("@staticmethod\n")
         self.texts[name] = text.replace(f"def {function.__name__}(", f"def {name}(", 1)
         return name
+
+    def _own(self, effect: OwnEffect, table: str) -> str:
+        """Add an effect of one's own with the source of its function; return the name of its
+        response.
+        """
+        equation = table.lower() if table != "DRIVE" else "torque"
+        called = effect.functions[equation].call
+        name = f"{effect.name}_{equation}"
+        for definition in (Seen, *((sampled, samples_of) if effect.states else ())):
+            self.add(definition)
+        self._use(called)
+        text = _DECORATORS.sub("", textwrap.dedent(inspect.getsource(called)))
+        self._put(f"own_{name}", text.replace(f"def {called.__name__}(", f"def own_{name}(", 1))
+        series = f"own_{name}(Seen(s, nominal), p)"
+        if effect.states:
+            rows = f"samples_of(Seen(s, nominal), {sorted(effect.used)!r})"
+            series = f"sampled(own_{name}, {rows}, {effect.states}, s.step, p)"
+        self._put("namedtuple", "from collections import namedtuple\n")
+        text = _OWN.format(
+            name=name,
+            names=tuple(q.name for q in effect.parameters),
+            searched=effect.nonlinear,
+            coefficients=effect.coefficients,
+            series=series,
+        )
+        self._put(name, text)
+        return name
+
+    def _put(self, name: str, text: str) -> None:
+        """Add a text; ValueError if the file has another definition of this name."""
+        if name in _TAKEN or self.texts.setdefault(name, text) != text:
+            raise ValueError(f"two definitions of the corrected model have the name {name}")
 
     def add(self, definition: Any) -> None:
         """Add a function, a class or a constant, after everything that it uses.
@@ -303,11 +355,11 @@ class _Source:
             return
         self._known[name] = definition
         if definition in _PLAIN:
-            self.texts[name] = _PLAIN[definition]
+            self._put(name, _PLAIN[definition])
             return
         self._use(definition)
         plain = getattr(definition, "py_func", definition)
-        self.texts[name] = _CACHED.sub("", inspect.getsource(plain))
+        self._put(name, _CACHED.sub("", inspect.getsource(plain)))
 
     def _use(self, definition: Any) -> None:
         for function in _functions(definition):
@@ -316,7 +368,32 @@ class _Source:
                 if getattr(used, "__module__", "").startswith("identification."):
                     self.add(used)
                 elif isinstance(used, float | int | str | tuple):
-                    self.texts[name] = f"{name} = {used!r}\n"
+                    self._put(name, f"{name} = {used!r}\n")
+                elif used is not None and not function.__module__.startswith("identification."):
+                    self._use_of_user(function, name, used)
+                elif definition is Seen and isinstance(used, dict):
+                    self._put(name, f"{name} = {used!r}\n")
+
+    def _use_of_user(self, function: FunctionType, name: str, used: Any) -> None:
+        """Add a definition of a user's file, or an import, under its name there."""
+        plain = getattr(used, "py_func", used)
+        module = getattr(plain, "__module__", None)
+        if isinstance(plain, FunctionType) and module == function.__module__:
+            if self._known.setdefault(name, plain) is not plain:
+                raise ValueError(f"two definitions of the corrected model have the name {name}")
+            if name not in self.texts:
+                self._use(plain)
+                self._put(name, _DECORATORS.sub("", inspect.getsource(plain)))
+        elif isinstance(used, ModuleType):
+            self._put(name, f"import {used.__name__} as {name}\n")
+        elif callable(used) and module and module != function.__module__:
+            self._put(name, f"from {module} import {used.__name__} as {name}\n")
+        else:
+            raise ValueError(
+                f"{function.__code__.co_filename}: {function.__name__} uses {name}, which is a "
+                f"{type(used).__name__}; the exported file can contain functions, numbers, texts "
+                "and tuples"
+            )
 
 
 def _functions(definition: Any) -> Iterator[FunctionType]:

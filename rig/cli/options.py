@@ -51,6 +51,13 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 result_file: Decorator = click.option(
     "--json", "json_file", metavar="FILE", type=_FILE, callback=_writable, help="Result file."
 )
+own_effects: Decorator = click.option(
+    "--effects",
+    "effects_file",
+    metavar="FILE.py",
+    type=_FILE,
+    help="Python file with effects of one's own, which is run.",
+)
 partial: Decorator = click.option(
     "--partial",
     is_flag=True,

@@ -446,6 +446,11 @@ def bench_from_text(text: str, path: Path) -> Document[Bench]:
 def _in_use(document: Document[Bench]) -> Document[Bench]:
     """Check effects, signals and bus load of a bench; return it with the limits in force."""
     bench = document.value
+    if bench.mock is not None and bench.mock.effects_file:
+        own = str(document.path.parent / bench.mock.effects_file)
+        mock = dataclasses.replace(bench.mock, effects_file=own)
+        bench = bench.model_copy(update={"mock": mock})
+        document = dataclasses.replace(document, value=bench)
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):

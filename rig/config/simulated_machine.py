@@ -11,11 +11,14 @@ import dataclasses
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from drivers.amt21.encoder import COUNTS_PER_TURN
+from drivers.errors import ConfigurationError
+from drivers.mock.plant.effects.own import injected
 from drivers.mock.plant.effects.pack import problems, too_light
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
@@ -250,11 +253,19 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 
 def hidden_problems(machine: Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the effects that are injected into a simulated machine."""
-    if machine is None or not machine.effects:
+    """Yield the problems of the effects that are injected into a simulated machine; the file with
+    effects of the user is read, but not run.
+    """
+    if machine is None or not (machine.effects or machine.effects_file):
         return
-    found = False
-    for path, text in problems(machine.effects):
+    found, own = False, list[str]()
+    if machine.effects_file:
+        try:
+            own = injected(Path(machine.effects_file))
+        except ConfigurationError as error:
+            yield ("effects_file",), str(error)
+            return
+    for path, text in problems(machine.effects, own=own):
         found = True
         yield ("effects", *path), text
     if not found and (light := too_light(machine)):

@@ -22,7 +22,7 @@ from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
-from drivers.errors import DeviceError, LinkError
+from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import (
     SimulatedBench,
@@ -35,6 +35,7 @@ from drivers.mock.bench import (
 from drivers.mock.drive import Rating, SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.makes import described_drive
+from drivers.mock.plant.effects.own import own_torques
 from drivers.mock.plant.parts import constants
 from drivers.mock.wires.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
@@ -360,6 +361,7 @@ def _simulated_bench(
     bench = document.value
     if bench.mock is None or not bench.simulated:
         return None, RealClock()
+    _require_own_effects(document, bench.mock)
     encoder_node = (
         bench.encoder.node
         if isinstance(bench.encoder, EncoderSection)
@@ -417,6 +419,7 @@ def _simulated_dbc(
     """Return the simulated bench of a DBC drive, and the host's clock."""
     encoder = document.value.encoder
     assert isinstance(encoder, EncoderSection)
+    _require_own_effects(document, machine)
     kind = servo.simulated_drive
     if kind is None:
         house = simulated_dbc_bench(machine, seed, bitrate, encoder.node)
@@ -426,6 +429,14 @@ def _simulated_dbc(
         raise InputError(document.problem(("servo", "simulated_drive"), text))
     bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
     return bench, bench.clock
+
+
+def _require_own_effects(document: Document[Bench], machine: constants.Machine) -> None:
+    """Try the functions of the file with effects of the user; InputError if one fails."""
+    try:
+        own_torques(machine)
+    except ConfigurationError as error:
+        raise InputError(document.problem(("mock", "effects_file"), str(error))) from error
 
 
 def never_opened() -> NoReturn:

@@ -15,6 +15,7 @@ from drivers.errors import ConfigurationError
 from drivers.mock.plant import gas
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.kernel import Histories, read_rotor
+from drivers.mock.plant.effects.own import STATES, own_torques, with_own_torques
 from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
@@ -251,8 +252,13 @@ class SimulatedMachine:
         self._noise_at = 0
         self._s = np.zeros(loops.STATE_SIZE)
         self._d = drive_vector(machine)
-        self._e = effect_vector(machine, any_size)
-        self._x = np.zeros(table.EXTRA_SIZE)
+        own = own_torques(machine)
+        self._e = effect_vector(machine, any_size, [torque.name for torque in own])
+        self._x = np.zeros(table.EXTRA_SIZE + STATES * len(own))
+        self._kernels = advance_loaded, record_cycles
+        if own:
+            period_s = 1.0 / machine.loops.rate_Hz
+            self._kernels = with_own_torques(own, period_s, advance_loaded, record_cycles)
         self._x[table.SUPPLY] = machine.supply_V
         self._histories = np.zeros((2, table.HISTORY))
         self._g = gas_vector(machine)
@@ -455,7 +461,7 @@ class SimulatedMachine:
             noise = self._noise[self._noise_at : self._noise_at + n]
             part = path[done : done + n]
             x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
-            advance_loaded(n, self._s, x, histories, d, p, e, self._y, self._g, noise, part)
+            self._kernels[0](n, self._s, x, histories, d, p, e, self._y, self._g, noise, part)
             self._noise_at += n
             done += n
             count -= n
@@ -470,7 +476,8 @@ class SimulatedMachine:
         x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
         noise = self._take_noise(per_cycle * len(targets))
         s, y, g = self._s, self._y, self._g
-        record_cycles(per_cycle, s, x, histories, d, p, e, y, g, noise, targets, _NO_PATH, out)
+        run = self._kernels[1]
+        run(per_cycle, s, x, histories, d, p, e, y, g, noise, targets, _NO_PATH, out)
         rotor, joint, *others = out.T
         motor_counts = np.floor(rotor / self.motor_count_rad)
         return Latches(motor_counts, np.floor(joint / self.joint_count_rad), *others)

@@ -24,6 +24,7 @@ from rig.cli import options as shared
     help="Make no diagnosis: print which effects the recordings can show, the least size of each "
     "that they show, and which effects they cannot distinguish.",
 )
+@shared.own_effects
 @shared.partial
 @shared.seed()
 @shared.out_folder(
@@ -36,6 +37,7 @@ def diagnose(
     bandwidth: float | None,
     gas: bool,
     observable: bool,
+    effects_file: Path | None,
     partial: bool,
     seed: int,
     out: Path | None,
@@ -57,15 +59,17 @@ def diagnose(
       rig diagnose bench.yaml --bandwidth 30 --json result.json
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
+      rig diagnose bench.yaml --effects mine.py
     """
     if observable:
         if gas:
             raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
         from rig.common.places import write_json
         from rig.results.diagnose.document import observable_document, observe_source
+        from rig.results.diagnose.own_effects import read_effects
         from rig.results.document import text
 
-        seen = observe_source(source, seed, bandwidth)
+        seen = observe_source(source, seed, bandwidth, read_effects(effects_file))
         if json_file is not None:
             write_json(json_file, seen.record())
         click.echo(text(observable_document(source, seen)))
@@ -75,6 +79,7 @@ def diagnose(
     from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
     from rig.results.diagnose.document import diagnose_document
     from rig.results.diagnose.exports import exports
+    from rig.results.diagnose.own_effects import read_effects
     from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
     from rig.results.measured import facts_of
     from rig.terminal.output import ShareBar
@@ -84,7 +89,8 @@ def diagnose(
     )
     require_folder(folder, "--out")
     with ShareBar() as bar:
-        outcome = diagnose_source(source, seed, bandwidth, bar, True, gas, partial=partial)
+        own = read_effects(effects_file)
+        outcome = diagnose_source(source, seed, bandwidth, bar, True, gas, None, partial, own)
         bar("writing the report", 1.0)
         record = outcome.record()
         write_record(record, folder / RESULT_FILE, json_file)
@@ -102,21 +108,52 @@ def diagnose(
 
 @click.command("effects")
 @click.argument("name", required=False)
+@click.option(
+    "--check",
+    metavar="FILE.py",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Run a Python file with effects of one's own, and say what is wrong with each: units, a "
+    "size that no parameter determines.",
+)
+@click.option(
+    "--on",
+    metavar="SOURCE",
+    type=click.Path(path_type=Path),
+    help="With --check, also say whether these recordings can show each effect, and which effect "
+    "of the catalogue it copies.",
+)
 @shared.result_file
-def effects(name: str | None, json_file: Path | None) -> None:
+def effects(name: str | None, check: Path | None, on: Path | None, json_file: Path | None) -> int:
     """List the effects that a diagnosis can identify; with NAME, show the whole catalogue entry of
-    one effect.
+    one effect; with --check, check effects of one's own.
+
+    The exit status of a check is 1 if something is wrong with an effect.
 
     \b
     Example:
       rig effects
       rig effects backlash
+      rig effects --check mine.py --on runs/demo
     """
     from identification.effects import EFFECTS
-    from rig.common.places import write_json
+    from rig.common.places import write_asked, write_json
     from rig.results.diagnose.document import effects_record, entry_of, overview, whole
 
+    if check is not None:
+        from rig.results.diagnose.document import check_effects, check_record, check_text
+        from rig.results.diagnose.own_effects import read_effects
+
+        if name is not None:
+            raise click.UsageError(f"--check checks all effects of a file; leave {name} out")
+        own = read_effects(check)
+        checks = check_effects(own, on)
+        write_asked(json_file, check_record(own, checks))
+        click.echo(check_text(checks))
+        return int(any(c.problems for c in checks))
+    if on is not None:
+        raise click.UsageError("--on belongs to --check; add --check FILE.py")
     shown = [entry_of(name)] if name else list(EFFECTS.values())
     click.echo(whole(shown[0]) if name else overview(shown))
     if json_file is not None:
         write_json(json_file, effects_record(shown))
+    return 0

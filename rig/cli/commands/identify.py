@@ -215,12 +215,14 @@ def _plan(
     type=click.Path(path_type=Path, dir_okay=False),
     help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
+@shared.own_effects
 @shared.bandwidth("Bandwidth of the errors. [default: that of the first result]")
 @shared.out_folder("Folder for report and figures. [default: ./SOURCE-simulated]")
 @shared.result_file
 def simulate(
     source: Path,
     results: tuple[Path, ...],
+    effects_file: Path | None,
     bandwidth: float | None,
     out: Path | None,
     json_file: Path | None,
@@ -242,6 +244,7 @@ def simulate(
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_folder, source_name
+    from rig.results.diagnose.own_effects import read_effects
     from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
     from rig.results.identify.simulate import (
         RESULT_FILE,
@@ -255,10 +258,11 @@ def simulate(
     folder = out or Path(f"{source_name(source)}-simulated")
     require_folder(folder, "--out")
     with ShareBar() as bar:
-        found = simulate_source(source, results, bandwidth, bar)
+        own = read_effects(effects_file)
+        found = simulate_source(source, results, bandwidth, bar, own)
         bar("writing the report", 1.0)
         write_record(simulation_record(found), folder / RESULT_FILE, json_file)
-        bench, said = as_bench(source, found)
+        bench, said = as_bench(source, found, own)
         write_texts(bench, folder)
         document = simulate_document(source_name(source), found, said)
         write_page(document, folder / PAGE_FILE)

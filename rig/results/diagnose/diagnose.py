@@ -15,12 +15,14 @@ from identification.diagnosis.diagnose import as_exact, diagnose
 from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
+from identification.effects import EffectError
 from identification.estimate.default import identify_any_length
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
 from rig.common.provenance import Provenance
 from rig.results.diagnose.model_file import diagnosis_record
+from rig.results.diagnose.own_effects import NO_FILE, OwnFile
 from rig.runs.run_file import partial_warnings, without_partial
 from rig.sources import load_source
 
@@ -36,10 +38,14 @@ class Outcome:
     dataset: Dataset
     diagnosis: Diagnosis
     provenance: Provenance
+    own: OwnFile = NO_FILE
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``rig diagnose --json``."""
-        return diagnosis_record(self.diagnosis, self.dataset, self.provenance)
+        return {
+            **diagnosis_record(self.diagnosis, self.dataset, self.provenance),
+            **self.own.record,
+        }
 
 
 def diagnose_source(
@@ -51,6 +57,7 @@ def diagnose_source(
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,
     partial: bool = False,
+    own: OwnFile = NO_FILE,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
@@ -69,9 +76,11 @@ def diagnose_source(
             generator.
         partial: Whether to use unfinished excitations of a run as well; a warning in the result
             names these excitations.
+        own: File with effects of one's own, which a gas generator does not have.
 
     Raises:
-        InputError: The source cannot be read, or its recordings cannot be diagnosed.
+        InputError: The source cannot be read, its recordings cannot be diagnosed, or an effect of
+            one's own fails.
     """
     started = time.perf_counter()
     if progress is not None:
@@ -81,6 +90,11 @@ def diagnose_source(
     try:
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
+            if own.effects:
+                raise InputError(
+                    f"{source}: effects of one's own are effects of the motion, but this is a "
+                    "diagnosis of a gas generator; leave --effects out"
+                )
             dataset = burning(dataset)
             found = diagnose_gas(dataset, rng=rng, progress=progress)
         else:
@@ -91,14 +105,17 @@ def diagnose_source(
                 progress=progress,
                 inspect=inspect,
                 estimate=(lambda _exact: identified(stated, seed, progress)) if refine else None,
+                effects=own.effects,
             )
     except RecordingError as error:
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
+    except EffectError as error:
+        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     warnings = (*found.warnings, *partial_warnings(dataset), *exact)
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
-    return Outcome(dataset, found, provenance)
+    return Outcome(dataset, found, provenance, own)
 
 
 def without_torque(dataset: Dataset) -> bool:

@@ -22,9 +22,10 @@ from identification.diagnosis.result import (
 from identification.diagnosis.result import Verdict as Outcomes
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.statement import FACTORS, readable
-from identification.effects import EFFECTS
+from identification.effects import EFFECTS, EffectError
 from identification.effects.effect import Effect, Quantity
 from identification.effects.model import COORDINATES
+from identification.effects.own import OwnEffect
 from identification.model.parameters import parameter_title, parameter_unit
 from identification.numerics.arrays import finite
 from identification.plots import mismatch
@@ -36,6 +37,7 @@ from rig.common.provenance import Provenance, heading
 from rig.common.tables import number, percent, table
 from rig.config.configuration import nearest
 from rig.results.diagnose.diagnose import Outcome
+from rig.results.diagnose.own_effects import NO_FILE, OwnFile
 from rig.results.document import (
     Block,
     Document,
@@ -365,17 +367,21 @@ class Seen:
     dataset: Dataset
     effects: tuple[Observable, ...]
     provenance: Provenance
+    own: OwnFile = NO_FILE
 
     def unit(self, effect: str, parameter: str) -> str:
         """Return the unit of an effect's parameter on this bench."""
         first = self.dataset.recordings[0]
-        known = next((q.unit for q in EFFECTS[effect].parameters if q.name == parameter), "")
+        known = next(
+            (q.unit for q in self.own.catalogue[effect].parameters if q.name == parameter), ""
+        )
         return parameter_unit(first.bench.motion, parameter, known, torque_unit(first) == "A")
 
     def record(self) -> dict[str, Any]:
         """Return the record of ``rig diagnose --observable --json``."""
         return {
             **self.provenance.record(OBSERVABLE_SCHEMA),
+            **self.own.record,
             "effects": [
                 {
                     "name": e.name,
@@ -386,14 +392,16 @@ class Seen:
                         for name, value in e.sizes.items()
                     },
                     "alike": {name: finite(share) for name, share in e.alike.items()},
-                    "separating_experiment": EFFECTS[e.name].experiment,
+                    "separating_experiment": self.own.catalogue[e.name].experiment,
                 }
                 for e in self.effects
             ],
         }
 
 
-def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -> Seen:
+def observe_source(
+    source: Path, seed: int, bandwidth_Hz: float | None = None, own: OwnFile = NO_FILE
+) -> Seen:
     """Return which effects the recordings of a run folder or campaign file can show.
 
     Raises:
@@ -402,12 +410,14 @@ def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -
     started = time.perf_counter()
     dataset = load_source(source)
     try:
-        effects = observable_effects(dataset, bandwidth_Hz)
+        effects = observable_effects(dataset, bandwidth_Hz, own.effects)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
+    except EffectError as error:
+        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
-    return Seen(dataset, effects, provenance)
+    return Seen(dataset, effects, provenance, own)
 
 
 def observable_document(source: Path, seen: Seen) -> Document:
@@ -424,7 +434,7 @@ def observable_document(source: Path, seen: Seen) -> Document:
         blocks.append(Paragraph(", ".join(hidden) + ".", "Not shown by these recordings."))
     sections = [Section("What these recordings can show", tuple(blocks))]
     if alike:
-        asked = tuple((e.name, EFFECTS[e.name].experiment) for e in alike)
+        asked = tuple((e.name, seen.own.catalogue[e.name].experiment) for e in alike)
         sections.append(Section("What would distinguish them", (Items(asked),)))
     return Document(f"Observable effects of {source_name(source)}", text, tuple(sections))
 
@@ -445,6 +455,89 @@ def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
     )
     by = f"explained to {100.0 * RULES.alike:.0f} % by"
     return Table(("effect", "least size shown", "beyond the nominal model", by), rows, (1, 2))
+
+
+CHECK_SCHEMA = "loadrig.effects_check/1"
+COPY = 0.99
+"""Share of an effect that another effect explains, from which neither is identified for sure."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a check found of one effect of one's own.
+
+    Attributes:
+        entry: The effect.
+        problems: What is wrong with the effect.
+        seen: What the recordings can show of the effect; None without recordings.
+    """
+
+    entry: Effect
+    problems: tuple[str, ...]
+    seen: Observable | None
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the effect in the record of ``rig effects --check --json``."""
+        found: dict[str, Any] = {"name": self.entry.name, "problems": list(self.problems)}
+        if isinstance(self.entry, OwnEffect):
+            searched = list(self.entry.nonlinear)
+            found |= {"linear": list(self.entry.coefficients), "searched": searched}
+        if self.seen is not None:
+            nominal = math.sqrt(max(1.0 - self.seen.left, 0.0)) if self.seen.sizes else 1.0
+            alike = {name: math.sqrt(share) for name, share in self.seen.alike.items()}
+            found |= {"correlations": {"nominal": nominal, **alike}, "least": dict(self.seen.sizes)}
+        return found
+
+
+def check_effects(own: OwnFile, source: Path | None, seed: int = 0) -> tuple[Check, ...]:
+    """Check the effects of a file, on recordings if a source is given.
+
+    Raises:
+        InputError: The source cannot be used, or an effect fails.
+    """
+    seen = None if source is None else observe_source(source, seed, own=own)
+    found = []
+    for entry in own.effects:
+        problems = entry.problems() if isinstance(entry, OwnEffect) else []
+        shown = None
+        if seen is not None:
+            shown = next((e for e in seen.effects if e.name == entry.name), None)
+            shown = shown or Observable(entry.name, 0.0, {}, {})
+            if not shown.sizes:
+                problems.append(
+                    "degenerate: these recordings cannot show it: a change of the nominal "
+                    "parameters explains it, it is zero in them, or they lack a signal that it uses"
+                )
+            problems += [
+                f"copies {name}: correlation {math.sqrt(share):.3f} on these recordings, so that "
+                "neither is identified for sure"
+                for name, share in shown.alike.items()
+                if share >= COPY
+            ]
+        found.append(Check(entry, tuple(problems), shown))
+    return tuple(found)
+
+
+def check_record(own: OwnFile, checks: Sequence[Check]) -> dict[str, Any]:
+    """Return the record of ``rig effects --check --json``."""
+    return {**heading(CHECK_SCHEMA), **own.record, "effects": [c.record() for c in checks]}
+
+
+def check_text(checks: Sequence[Check]) -> str:
+    """Return what a check found as text."""
+    lines = []
+    for check in checks:
+        found = check.record()
+        lines.append(f"{check.entry.name}: {'NOT good' if check.problems else 'good'}")
+        for key in ("linear", "searched"):
+            if key in found:
+                lines.append(f"  {key}: {', '.join(found[key]) or 'nothing'}")
+        if check.seen is not None:
+            sizes = ", ".join(f"{n} = {v:.3g}" for n, v in check.seen.sizes.items()) or "none"
+            alike = ", ".join(f"{n} {r:.3f}" for n, r in found["correlations"].items())
+            lines += [f"  least size shown: {sizes}", f"  correlation with: {alike}"]
+        lines += [f"  {problem}" for problem in check.problems]
+    return "\n".join(lines)
 
 
 EFFECTS_SCHEMA = "loadrig.effects/1"

@@ -149,7 +149,8 @@ def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
     """Return a sequence file that splits an alias group, or None if none can."""
-    kinds = [k for name in names if (k := EFFECTS[name].separation) is not None]
+    known = [EFFECTS[name] for name in names if name in EFFECTS]
+    kinds = [entry.separation for entry in known if entry.separation is not None]
     room = Room.of(bench)
     if not kinds or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
         return None
@@ -239,19 +240,24 @@ def _models(
 ) -> tuple[list[Export], list[str]]:
     """Return the corrected model in all possible formats, and why others are not possible."""
     files: list[Export] = []
+    notes: list[str] = []
     recordings = outcome.dataset.recordings
     first = recordings[0]
     try:
-        model = model_of(record, [r.name for r in recordings], "the corrected model")
+        names = [r.name for r in recordings]
+        model = model_of(record, names, "the corrected model", outcome.own.catalogue)
         files.append(Export(YAML_FILE, "the corrected model", yaml_text(model, first)))
         use = "the corrected model as plain Python functions; needs only numpy"
-        files.append(Export(PYTHON_FILE, use, python_text(model, first, name)))
-        bench, left_out = model_bench(base, model, first.bench)
+        try:
+            files.append(Export(PYTHON_FILE, use, python_text(model, first, name)))
+        except ValueError as error:  # a function of the user's own uses what text cannot contain
+            notes.append(f"{PYTHON_FILE} is not written: {error}")
+        bench, left_out = model_bench(base, model, first.bench, outcome.own)
         use = f"the corrected model as a simulated bench: rig run SEQUENCE --bench {BENCH_FILE}"
         files.append(Export(BENCH_FILE, use, bench_text(bench, left_out)))
     except InputError as error:
-        return files, list(error.problems)
-    return files, list(left_out)
+        return files, [*notes, *error.problems]
+    return files, [*notes, *left_out]
 
 
 def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:

@@ -21,6 +21,7 @@ from rig.common.places import is_file
 from rig.common.yaml_tree import parse
 from rig.config.bench import Bench, load_bench
 from rig.config.serial_bus import MOCK
+from rig.results.diagnose.own_effects import NO_FILE, OwnFile
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import JOINT_FIELDS
 from rig.runs.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
@@ -67,10 +68,14 @@ def _plain(text: str) -> Tree:
 
 
 def model_bench(
-    base: Mapping[str, Any], model: CorrectedModel, constants: Constants
+    base: Mapping[str, Any],
+    model: CorrectedModel,
+    constants: Constants,
+    own: OwnFile = NO_FILE,
 ) -> tuple[Tree, list[str]]:
     """Return bench file data in which the model of a result is the simulated machine, and notes on
-    the parts of the model that the machine cannot represent.
+    the parts of the model that the machine cannot represent; effects of one's own are those that a
+    function of their file injects.
 
     Raises:
         InputError: The result lacks values that a machine needs.
@@ -100,7 +105,10 @@ def model_bench(
         if constants.moment_arm is not None:
             section["moment_arm_m"] = constants.moment_arm
     effects = dict(model.effects)
-    for path, text in problems(effects):
+    mock.pop("effects_file", None)
+    if own.path is not None and own.injects & effects.keys():
+        mock["effects_file"] = str(own.path.resolve())
+    for path, text in problems(effects, own=own.injects):
         notes.append(f"{path[0]} is left out of the simulated bench: {'.'.join(path)}: {text}")
         effects = {name: given for name, given in effects.items() if name != path[0]}
     mock["effects"] = effects

@@ -12,6 +12,7 @@ import numpy as np
 from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
+from identification.effects.effect import Effect
 from identification.effects.model import COORDINATES, CorrectedModel, Curve
 from identification.effects.prediction import Fitted
 from identification.numerics.spread import Spread
@@ -81,7 +82,10 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
 
 
 def model_of(
-    record: Mapping[str, Any], recordings: Sequence[str], place: str = "result"
+    record: Mapping[str, Any],
+    recordings: Sequence[str],
+    place: str = "result",
+    catalogue: Mapping[str, Effect] = EFFECTS,
 ) -> CorrectedModel:
     """Return the model that a result file contains.
 
@@ -89,6 +93,7 @@ def model_of(
         record: Record of ``rig identify --json`` or ``rig diagnose --json``.
         recordings: Names of the recordings from which the result was made, in their order.
         place: Path of the record, for messages.
+        catalogue: The catalogue, with the effects of one's own of which the result may be.
 
     Raises:
         InputError: A value is missing or not a number, an effect has other parameters than the
@@ -109,13 +114,17 @@ def model_of(
         raise InputError(
             f"{place}: parameters: no parameter has a value, so the model cannot be simulated"
         )
-    effects = dict(_effect(place, effect, recordings) for effect in record.get("effects", ()))
+    effects = dict(
+        _effect(place, effect, recordings, catalogue, record.get("effects_file"))
+        for effect in record.get("effects", ())
+    )
     alpha = _finite(place, "alpha", record.get("alpha", 2.0))
     if not 0.0 < alpha <= LARGEST_ALPHA:
         raise InputError(
             f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})"
         )
-    return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
+    curve = _curve(place, record.get("curve"))
+    return CorrectedModel(parameters, alpha, effects, curve, catalogue)
 
 
 def fitted_of(record: Mapping[str, Any], model: CorrectedModel, unit: str) -> Fitted | None:
@@ -142,21 +151,29 @@ def fitted_of(record: Mapping[str, Any], model: CorrectedModel, unit: str) -> Fi
 
 
 def _effect(
-    place: str, effect: Mapping[str, Any], recordings: Sequence[str]
+    place: str,
+    effect: Mapping[str, Any],
+    recordings: Sequence[str],
+    catalogue: Mapping[str, Effect],
+    own: Mapping[str, str] | None,
 ) -> tuple[str, dict[str, float]]:
     name = effect["name"]
-    if name not in EFFECTS:
-        raise InputError(
-            f"{place}: effects: {name} is not an effect of the catalogue; see rig effects"
-        )
-    known = {q.name for q in EFFECTS[name].parameters}
+    if name not in catalogue:
+        remedy = "see rig effects"
+        if own is not None:
+            remedy = (
+                f"it is from a file of one's own, {own['file']} (SHA-256 {own['sha256'][:12]}...); "
+                "give this file with --effects"
+            )
+        raise InputError(f"{place}: effects: {name} is not an effect of the catalogue; {remedy}")
+    known = {q.name for q in catalogue[name].parameters}
     given = {
         key: _finite(place, f"effects.{name}.{key}", entry["value"])
         for key, entry in effect["parameters"].items()
         if key in known or key == "recording"
     }
     # The parameter counts recordings from 1.
-    if EFFECTS[name].place is not None and "recording" not in given:
+    if catalogue[name].place is not None and "recording" not in given:
         shown = [recordings.index(r) for r in effect["where"]["recordings"] if r in recordings]
         given["recording"] = 1.0 + min(shown, default=0)
     if known - given.keys():

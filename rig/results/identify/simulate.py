@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.effects import prediction
+from identification.effects import EffectError, prediction
 from identification.effects.model import CorrectedModel, predictions, views_for
 from identification.effects.prediction import Simulation as Banded
 from identification.estimate.bandwidth import choose_bandwidth
@@ -33,6 +33,7 @@ from rig.common.provenance import Provenance, sha256_file
 from rig.common.tables import number, percent
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.results.diagnose.model_file import fitted_of, model_of, read_result, require_motion
+from rig.results.diagnose.own_effects import NO_FILE, OwnFile
 from rig.results.document import (
     Document,
     Note,
@@ -112,7 +113,8 @@ class Simulation:
             the controller of a recording is unknown.
         responses: Responses of the first model with full friction, in the order of the recordings.
         bandwidth_Hz: Bandwidth of the torque errors.
-        short: Texts on recordings that are too short for the bandwidth and left out.
+        short: Texts on recordings that are too short for the bandwidth and left out, and on
+            effects of one's own from another version of their file.
         bands: Torque of the first model with its 90 % band, in the order of the recordings; empty
             if its result file has no covariance.
     """
@@ -159,18 +161,19 @@ def simulate_source(
     results: Sequence[Path],
     bandwidth_Hz: float | None,
     progress: Callable[[str, float], None],
+    own: OwnFile = NO_FILE,
 ) -> Simulation:
     """Predict every recording of a source with the model of each result file, and simulate the
     closed loop if the controller is known.
 
     ``bandwidth_Hz``: bandwidth of the errors, or None for the bandwidth of the first result, or
-    chosen as in the identification.
+    chosen as in the identification; ``own``: file with the effects of one's own of a result.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source)
     records = [read_result(path) for path in results]
-    models = _models(dataset, results, records)
+    models = _models(dataset, results, records, own)
     bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
     try:
         dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
@@ -181,6 +184,8 @@ def simulate_source(
         cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
+    except EffectError as error:
+        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     provenance = Provenance.of(0, dataset.recordings, seconds, source, dataset.tables)
     read = {str(path): sha256_file(path) for path in results}
@@ -193,7 +198,7 @@ def simulate_source(
         tuple(responses),
         bandwidth_Hz,
         dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
-        short,
+        (*short, *_other_files(results, records, own)),
         bands,
     )
 
@@ -220,16 +225,25 @@ def _bands(
 
 
 def _models(
-    dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]]
+    dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]], own: OwnFile
 ) -> tuple[FittedModel, ...]:
     """Return the models of result files of benches with the recordings' kind of motion."""
     names = [r.name for r in dataset.recordings]
     for path, record in zip(files, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
     return tuple(
-        (path, model_of(record, names, str(path)))
+        (path, model_of(record, names, str(path), own.catalogue))
         for path, record in zip(files, records, strict=True)
     )
+
+
+def _other_files(
+    files: Sequence[Path], records: Sequence[Mapping[str, Any]], own: OwnFile
+) -> Iterator[str]:
+    for path, record in zip(files, records, strict=True):
+        made = record.get("effects_file")
+        if made is not None and own.path is not None and made["sha256"] != own.sha256:
+            yield f"{path} was made with another version of {own.path} (see its SHA-256)"
 
 
 def _closed_loop(
@@ -255,14 +269,16 @@ def _closed_loop(
     return cases, shown
 
 
-def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]]:
+def as_bench(
+    source: Path, found: Simulation, own: OwnFile = NO_FILE
+) -> tuple[dict[str, str], list[str]]:
     """Return the first model as a simulated bench (file name to text), and remarks on this bench.
 
     If the model cannot be a simulated bench, there is no file, and the remarks state why.
     """
     try:
         constants = found.dataset.recordings[0].bench
-        bench, left_out = model_bench(base_bench(source), found.models[0][1], constants)
+        bench, left_out = model_bench(base_bench(source), found.models[0][1], constants, own)
         said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
         return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
     except InputError as error:

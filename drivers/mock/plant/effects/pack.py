@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,19 @@ _EVERY = {**KNOWN, **GAS_KNOWN}
 _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
-def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the requested effects, each as a path of names and a message."""
+def problems(
+    effects: Effects, any_size: bool = False, own: Collection[str] = ()
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the problems of the requested effects, each as a path of names and a message; none of
+    the effects ``own``, which a file of the user injects.
+    """
     for name, given in effects.items():
+        if name in own:
+            continue
         parameters = _EVERY.get(name)
         if parameters is None:
-            yield (name,), f"there is no such effect; known effects are {', '.join(_EVERY)}"
+            known = ", ".join((*_EVERY, *own))
+            yield (name,), f"there is no such effect; known effects are {known}"
             continue
         needed = [key for key, parameter in parameters.items() if parameter.default is None]
         for missing in needed:
@@ -44,19 +51,22 @@ def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[s
                 )
 
 
-def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray[np.float64]:
+def effect_vector(
+    machine: constants.Machine, any_size: bool = False, own: Collection[str] = ()
+) -> NDArray[np.float64]:
     """Pack the effects of a machine, except those of its gas generator.
 
     Args:
         machine: The machine.
         any_size: Whether values may be outside their ranges, which are stated for a machine of the
             size of the paper's valve.
+        own: Names of effects that a file of the user injects.
 
     Raises:
         ValueError: An effect or a parameter is unknown, a value is out of range, or the rotor's
             inertia is not less than the total inertia.
     """
-    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects, any_size)]
+    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects, any_size, own)]
     if wrong or (text := too_light(machine)):
         raise ValueError("; ".join(wrong) or text)
     effects = {name: given for name, given in machine.effects.items() if name in KNOWN}

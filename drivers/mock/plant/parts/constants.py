@@ -204,6 +204,8 @@ class Machine:
         warming_s: Time constant of the rise of the reported temperature.
         effects: Injected effects, which the recorded bench file does not state: values of the
             parameters of each effect. [Catalogue](effects.md).
+        effects_file: Python file, relative to the bench file, with a function `inject_NAME` for
+            each further effect NAME of `effects`.
     """
 
     motor: Motor = field(default_factory=Motor)
@@ -217,3 +219,4 @@ class Machine:
     warming_K: float = 0.0
     warming_s: float = 600.0
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects_file: str = ""
