@@ -50,7 +50,9 @@ def effects_record(found: Diagnosis) -> dict[str, Any]:
     return {"effects": plain(found.effects), "curve": plain(found.curve)}
 
 
-SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
+INVESTIGATE_SCHEMA = "loadrig.investigate/1"
+"""Schema of a result that is that of a diagnosis of all runs of an investigation, and more."""
+SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA, INVESTIGATE_SCHEMA)
 _LARGEST = 1e12
 """Largest plausible magnitude of a parameter, SI units."""
 _MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
