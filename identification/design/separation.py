@@ -40,8 +40,10 @@ from identification.recording import Recording
 from identification.views.nominal import SPEEDS
 from identification.views.view import View, views
 
-NOTHING, OUTSIDE = "nothing", "outside"
-"""Names of the hypotheses that no effect, and that an effect outside the catalogue, is missing."""
+NOTHING, OUTSIDE, UNSEEN = "nothing", "outside", "unseen"
+"""Names of the hypotheses that nothing is missing, that an effect outside the catalogue is missing,
+and that one is missing which the recordings so far cannot show.
+"""
 JOINED = " + "
 BREAKAWAY_NOISE = 3.0
 """Noise of a row of the breakaway equation, over that of the torque equation, where the recordings
@@ -90,18 +92,19 @@ class Hypothesis:
 
 
 class Weighed(NamedTuple):
-    """Hypotheses, the most likely one first, and the weight that something outside the catalogue is
-    missing.
+    """Hypotheses, the most likely one first, and the weights of what has no model: an effect
+    outside the catalogue, and one that the recordings cannot show.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     outside: float
+    unseen: float = 0.0
 
     @property
     def odds(self) -> dict[str, float]:
         """Probability of each hypothesis, by name, greatest first; the sum is 1."""
         found = {h.name: h.weight for h in self.hypotheses}
-        found[OUTSIDE] = self.outside
+        found |= {OUTSIDE: self.outside, UNSEEN: self.unseen}
         total = sum(found.values())
         return {n: w / total for n, w in sorted(found.items(), key=lambda item: -item[1])}
 
@@ -147,7 +150,13 @@ def weigh(
         hypotheses = [h for h in hypotheses if h.name in wanted or not {*h.names} - {*wanted}]
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         hypotheses = [replace(h, weight=h.weight * OUTSIDE_SHARE) for h in hypotheses]
-    return Weighed(tuple(sorted(hypotheses, key=lambda h: -h.weight)), outside)
+    unseen = 0.0
+    if verdict is Verdict.NOTHING_MISSING:
+        # Before any recording, one effect of the catalogue is as likely as nothing.
+        so_far = present(found.baseline, terms)
+        hidden = visibility(so_far) <= RULES.collinear_below**2 * so_far.shown[:, 0]
+        unseen = float(np.mean(hidden))
+    return Weighed(tuple(sorted(hypotheses, key=lambda h: -h.weight)), outside, unseen)
 
 
 def _in_place_of(

@@ -27,7 +27,7 @@ from identification.design.separation import (
     visibility,
 )
 from identification.effects import EFFECTS, MOTION
-from identification.effects.effect import title
+from identification.effects.effect import Separation, title
 from identification.effects.model import CorrectedModel
 from identification.recording import RecordingError
 from rig.common.errors import InputError
@@ -220,7 +220,8 @@ def _simulated(
     total = sum(h.weight for h in hypotheses)
     judged: list[_Judged] = []
     refused: dict[str, str] = {}
-    parts = [p for p in family(bench.document.value, rng) if p.name not in avoided]
+    drifts = any(EFFECTS[n].separation is Separation.SESSION for h in hypotheses for n in h.names)
+    parts = [p for p in family(bench.document.value, rng, drifts) if p.name not in avoided]
     models = [h.model for h in hypotheses]
     for k, part in enumerate(parts):
         progress("simulating experiments", k / len(parts))
@@ -232,8 +233,8 @@ def _simulated(
                 if simulated.problem:
                     refused[part.name] = f"{hypotheses[truth].name}: {simulated.problem}"
                     break
+                here = experiment_views(simulated.recordings, hypotheses[0].joint, bandwidth_Hz)
                 for model, h in enumerate(hypotheses):
-                    here = experiment_views(simulated.recordings, h.joint, bandwidth_Hz)
                     found.evidence[truth, model] = evidence(h.joint, here, terms)
             else:
                 judged.append(found)

@@ -100,12 +100,13 @@ def weights(bench: Bench) -> tuple[float, ...]:
     return tuple(dict.fromkeys((offered[0], offered[-1]))) if offered else ()
 
 
-def family(bench: Bench, rng: np.random.Generator) -> list[Part]:
+def family(bench: Bench, rng: np.random.Generator, sessions: bool = False) -> list[Part]:
     """Return the parts of which experiments are composed, within the limits of angle and speed.
 
     Slow, medium and fast sines over large and small travel, two tones, creeping ramps over the
     travel, steady speeds, loops below breakaway, breakaways after several rests; without load, and
-    with each weight. Two further parts repeat a slow and a fast stage after work.
+    with each weight. With ``sessions``, further parts repeat a slow and a fast stage after work,
+    for effects that change as the machine runs.
     """
     limits = bench.limits
     half = 0.5 * TRAVEL_SHARE * (limits.angle_max_deg - limits.angle_min_deg)
@@ -157,7 +158,7 @@ def family(bench: Bench, rng: np.random.Generator) -> list[Part]:
     parts = []
     for mass in (0.0, *weights(bench)):
         load = f"{mass:g}kg" if mass else "unloaded"
-        session = {"session": [slow, quick, work, slow, quick]}
+        session = {"session": [slow, quick, work, slow, quick]} if sessions else {}
         for name, each in (motions | session).items():
             if name == "loops" and mass:
                 continue

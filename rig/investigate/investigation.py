@@ -270,7 +270,7 @@ class Investigation:
             InputError: The first run cannot be diagnosed.
         """
         self._settle_unfinished()
-        if not self._done():
+        if self.state.first and all(e.state != "done" for e in self.state.experiments):
             self._first()
         judged = self._judge()
         while not self.state.ended and (proposal := self._next(judged)) is not None:
@@ -383,7 +383,7 @@ class Investigation:
             if found is not None:
                 return found
             state.cannot_separate = pairs(judged.weighed, rivals)
-        if covered < COVERING and not (rivals and certain):
+        if covered < COVERING and not (rivals and designed):
             found = self._propose(judged, True)
             if found is not None:
                 return found

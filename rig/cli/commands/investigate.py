@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rig.config.configuration import Document
     from rig.investigate.confirmation import Confirmation
     from rig.investigate.investigation import Judgement, State
+    from rig.terminal.output import ShareBar
 
 FIRST = "figure10"
 """Sequence of the first run if neither a sequence nor a run is given."""
@@ -93,7 +94,6 @@ def investigate(
     from rig.common.provenance import sha256_file
     from rig.config.bench import load_bench
     from rig.investigate.investigation import STATE_FILE, Investigation, State, load_state
-    from rig.terminal.output import ShareBar
     from rig.wiring.devices import bench_line, until_the_end
 
     folder = out or Path("investigation")
@@ -116,11 +116,41 @@ def investigate(
         _take_sources(state, sources, result)
     folder.mkdir(parents=True, exist_ok=True)
     until_the_end(hold_folder(folder, "rig investigate"))
-    with ShareBar() as bar:
-        runner = _runner(bench_file, state, yes, operator_name)
-        investigation = Investigation(bench_file, folder, state, runner, click.echo, bar)
+    with _Progress() as progress:
+        runner = _runner(bench_file, state, yes, operator_name, progress)
+        investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
         judged, confirmation = investigation.run()
     return _report(folder, state, judged, confirmation, json_file)
+
+
+class _Progress:
+    """Progress bar that leaves the terminal to the lines of the investigation and of its runs."""
+
+    def __init__(self) -> None:
+        self._bar: ShareBar | None = None
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __call__(self, what: str, share: float) -> None:
+        from rig.terminal.output import ShareBar
+
+        self._bar = self._bar or ShareBar()
+        self._bar(what, share)
+
+    def say(self, words: str) -> None:
+        """Show a line."""
+        self.close()
+        click.echo(words)
+
+    def close(self) -> None:
+        """Remove the bar until the next step."""
+        if self._bar is not None:
+            self._bar.__exit__()
+            self._bar = None
 
 
 def _effects(question: str | None) -> list[str]:
@@ -170,45 +200,32 @@ def _take_sources(state: State, sources: tuple[str, ...], result: Path | None) -
 
 
 def _runner(
-    bench: Document[Bench], state: State, yes: bool, operator: str | None
+    bench: Document[Bench], state: State, yes: bool, operator: str | None, progress: _Progress
 ) -> Callable[[Path, Path], None]:
-    """Return the function that runs one experiment as `rig run` does."""
+    """Return the function that runs one experiment, by the command `rig run`."""
     from drivers.errors import DeviceError
-    from rig.cli.commands.run import carry_out
+    from rig.cli.commands.run import run
     from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
-    from rig.common.provenance import utc_now
-    from rig.config.sequence import load_sequence
-    from rig.control.attendance import require_attendance
-    from rig.control.session import Inputs
-    from rig.planning.plan import make_plan
-    from rig.planning.predicted_load import PredictedLoad, friction_model
-    from rig.runs.run import bench_constants, require_space, require_unused
-    from rig.terminal.prompt import at_terminal
-    from rig.wiring.preflight import require_startable
 
-    def run(path: Path, folder: Path) -> None:
-        sequence = load_sequence(path)
-        plan = make_plan(sequence, bench)
-        load = PredictedLoad.of(plan, bench.value, friction_model(bench_constants(bench.value)))
-        load.require_within(sequence)
-        require_unused(folder)
-        require_space(folder, plan.cycles)
-        require_startable(bench, utc_now().date(), lambda words: click.echo(words, err=True))
-        require_attendance(plan, bench, yes, at_terminal())
+    def one(sequence: Path, folder: Path) -> None:
+        progress.close()
         if not bench.value.simulated and not yes:
-            click.confirm(f"Run {path.name} on {bench.value.name}?", default=True, abort=True)
+            click.confirm(f"Run {sequence.name} on {bench.value.name}?", default=True, abort=True)
+        stated = {option.name: None for option in run.params}
+        flags = {o.name: False for o in run.params if getattr(o, "is_flag", False)}
+        own = {"sequence": str(sequence), "bench": str(bench.path), "out": folder, "yes": yes}
         # Each experiment of a simulated bench gets its own noise.
-        inputs = Inputs(
-            bench, sequence, state.seed + len(state.experiments), False, operator, load=load
+        seed = state.seed + len(state.experiments)
+        assert run.callback is not None
+        status = run.callback(
+            **stated | flags | own | {"seed": seed, "operator_name": operator, "first_pass": None}
         )
-        patience_s = bench.value.prompt_timeout_s
-        status = carry_out(inputs, plan, folder, yes, patience_s, False, None)
         if status == STOPPED:
             raise KeyboardInterrupt
         if status not in (DONE, BAD_VERDICT):
             raise DeviceError(f"{folder}: the run ended with status {status}; see its page")
 
-    return run
+    return one
 
 
 def _report(

@@ -182,7 +182,7 @@ def run(
         click.echo(describe_dry_run(computed))
         write_asked(json_file, dry_run_record(computed))
         return BAD_VERDICT if load.problems else DONE
-    status = carry_out(inputs, plan, path, yes, patience_s, in_console, json_file, injector)
+    status = _carry_out(inputs, plan, path, yes, patience_s, in_console, json_file, injector)
     return accept_at_the_end(path, junit_file) if status == DONE else status
 
 
@@ -265,7 +265,7 @@ def resume(
     require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     patience_s = resumed.bench.value.prompt_timeout_s
-    status = carry_out(inputs, plan, run, yes, patience_s, in_console, json_file)
+    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -275,7 +275,7 @@ def _left(plan: Plan, inputs: Inputs) -> Plan:
     return dataclasses.replace(plan, stages=plan.stages[first:])
 
 
-def carry_out(
+def _carry_out(
     inputs: Inputs,
     plan: Plan,
     path: Path,
@@ -305,10 +305,10 @@ def carry_out(
                 until_the_end(create_folder(path, purpose))
             tolerance = bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            begin = execute if injector is None else injector.execute
+            carry_out = execute if injector is None else injector.execute
             progress = RunProgress(plan.cycle_s, _left(plan, inputs).duration_s, screen)
             devices = observed(devices, control, progress)
-            folder, outcome = begin(inputs, plan, devices, path, operator, stop, progress)
+            folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, json_file, screen)
     if injector is not None:
         click.echo(describe_findings(injector.conclude(status, outcome.message)))

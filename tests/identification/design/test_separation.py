@@ -15,6 +15,7 @@ import pytest
 from identification.design.separation import (
     NOTHING,
     OUTSIDE,
+    UNSEEN,
     Evidence,
     Hypothesis,
     Weighed,
@@ -116,7 +117,7 @@ def test_odds_sum_to_one_and_name_what_has_no_model() -> None:
         0.05,
     )
     odds = weighed.odds
-    assert list(odds) == ["backlash", "compliance + cogging", OUTSIDE, NOTHING]
+    assert list(odds) == ["backlash", "compliance + cogging", OUTSIDE, NOTHING, UNSEEN]
     assert sum(odds.values()) == pytest.approx(1.0)
     sure = replace(weighed.hypotheses[0], weight=1e6)
     assert Weighed((sure,), 0.0).odds["backlash"] == 1.0
