@@ -147,7 +147,7 @@ def weigh(
             for z in [preference(found.baseline, j)]
         ]
     if wanted:
-        hypotheses = [h for h in hypotheses if h.name in wanted or not {*h.names} - {*wanted}]
+        hypotheses = [h for h in hypotheses if {*h.names} <= {*wanted}]
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         hypotheses = [replace(h, weight=h.weight * OUTSIDE_SHARE) for h in hypotheses]
     unseen = 0.0
@@ -189,7 +189,7 @@ def _in_place_of(
 
 def _weight(preferred: float, beyond: str) -> float:
     """Return the weight of a rival over that of the best hypothesis."""
-    share = probability(-preferred) / probability(preferred)
+    share = min(1.0, probability(-preferred) / probability(preferred))
     return min(share, RULES.implausible_confidence) if beyond else share
 
 

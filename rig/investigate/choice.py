@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import reduce
-from typing import Literal
+from operator import add
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +30,6 @@ from identification.design.separation import (
 )
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Separation, title
-from identification.effects.model import CorrectedModel
 from identification.recording import RecordingError
 from rig.common.errors import InputError
 from rig.config.configuration import Document
@@ -39,7 +40,6 @@ from rig.investigate.experiments import (
     as_document,
     bench_seconds,
     family,
-    in_order,
     weight_changes,
 )
 
@@ -56,8 +56,10 @@ TARGET_BOUND = 1e-3
 OF_CONSTANTS = 0.01
 """Worth of a nat of information on the constants, over that of a factor e of the error bound."""
 MOST_PARTS = 4
-MOST_VISIBLE = math.log(100.0)
-"""Greatest worth of the visibility of one effect that the recordings so far hardly show."""
+MOST_VISIBLE, TINY = math.log(100.0), 1e-30
+"""Greatest worth of the visibility of one effect that the recordings so far hardly show; least
+visibility.
+"""
 Progress = Callable[[str, float], None]
 
 
@@ -66,34 +68,29 @@ class Proposal:
     """The next experiment.
 
     Attributes:
-        purpose: Whether it separates hypotheses, or shows what no recording has shown.
-        parts: Its parts in the order of the run.
+        purpose: ``separate`` hypotheses, or ``cover`` what no recording has shown.
         sequence: The sequence.
         reason: One sentence with numbers.
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight is hung or taken off.
         apart: Pair of hypotheses to the expected preference, standard errors.
-        judged: Number of parts that were simulated.
         refused: Part to the limit that a hypothesis would come too near to.
     """
 
-    purpose: Literal["separate", "cover"]
-    parts: tuple[Part, ...]
+    purpose: str
     sequence: Document[Stages]
     reason: str
     seconds: float
     weight_changes: int
     apart: Mapping[tuple[str, str], float]
-    judged: int
     refused: Mapping[str, str]
 
 
-@dataclass
-class _Judged:
+class _Judged(NamedTuple):
     """A part that no hypothesis brings too near to a limit, with what it would show."""
 
     part: Part
-    evidence: dict[Pair, Evidence] = field(default_factory=dict)
+    evidence: Mapping[Pair, Evidence]
 
 
 @dataclass(frozen=True)
@@ -101,37 +98,37 @@ class _Design:
     """Simulated hypotheses, and the parts to choose from."""
 
     bench: SimulatedBench
-    hypotheses: tuple[Hypothesis, ...]
-    before: tuple[Evidence, ...]
-    odds: tuple[float, ...]
-    judged: tuple[_Judged, ...]
+    hypotheses: Sequence[Hypothesis]
+    cover: bool
+    before: Sequence[Evidence]
+    judged: Sequence[_Judged]
     refused: Mapping[str, str]
-    visible: np.ndarray
-
-    def models(self) -> list[CorrectedModel]:
-        return [h.model for h in self.hypotheses]
 
     def added(self, chosen: Sequence[_Judged]) -> dict[Pair, Evidence]:
         """Return what several parts show together."""
         return {
-            pair: reduce(lambda a, b: a + b, (one.evidence[pair] for one in chosen))
-            for pair in chosen[0].evidence
+            pair: reduce(add, (one.evidence[pair] for one in chosen)) for pair in chosen[0].evidence
         }
+
+    def shown(self, chosen: Sequence[_Judged]) -> np.ndarray:
+        """Return the visibility of each effect with an experiment, over that without it."""
+        after = visibility(self.before[0] + self.added(chosen)[0, 0])
+        return np.asarray(np.maximum(after, TINY) / np.maximum(visibility(self.before[0]), TINY))
 
     def worth(self, chosen: Sequence[_Judged]) -> float:
         """Return the worth of an experiment, in factors e of the error bound."""
         added = self.added(chosen)
         constants = OF_CONSTANTS * information(self.before[0], added[0, 0])
-        if len(self.hypotheses) < 2:
-            after = visibility(self.before[0] + added[0, 0])
-            ratio = np.maximum(after, 1e-30) / np.maximum(self.visible, 1e-30)
-            gain = np.where(after > 0.0, np.minimum(np.log(ratio), MOST_VISIBLE), 0.0)
-            return float(np.sum(np.maximum(gain, 0.0))) + constants
+        if self.cover:
+            gains = np.clip(np.log(self.shown(chosen)), 0.0, MOST_VISIBLE)
+            return float(np.sum(gains)) + constants
+        odds = [h.weight for h in self.hypotheses]
         apart = separations(self.before, added)
-        bounds = [
-            max(error_bound(self.odds, z), TARGET_BOUND) for z in (dict.fromkeys(apart, 0.0), apart)
-        ]
-        return math.log(bounds[0] / bounds[1]) + constants
+        now, then = (
+            max(error_bound(odds, z) / sum(odds), TARGET_BOUND)
+            for z in (dict.fromkeys(apart, 0.0), apart)
+        )
+        return math.log(now / then) + constants
 
     def seconds(self, chosen: Sequence[_Judged]) -> float:
         """Return the time of the bench that an experiment takes, s."""
@@ -159,34 +156,31 @@ def propose(
         progress: Called with the present step and the share that is done.
         name: Name of the sequence.
         most_s: Longest time that the experiment may take, s.
-        avoided: Names of parts that have tripped.
+        avoided: Names of stages that have tripped.
         cover: Whether to show what no recording has shown, instead of separating hypotheses.
     """
     design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
-    if design is None or not design.judged or (len(design.hypotheses) < 2 and not cover):
+    if len(design.hypotheses) < 2 - cover:
         return None
     chosen = _best(design, most_s, progress)
     if not chosen:
         return None
-    apart = separations(design.before, design.added(chosen)) if not cover else {}
+    apart = {} if cover else separations(design.before, design.added(chosen))
     if not cover and max(apart.values()) < WORTH_WHILE:
         return None
-    parts = tuple(in_order([c.part for c in chosen]))
-    named = {
-        (design.hypotheses[a].name, design.hypotheses[b].name): z for (a, b), z in apart.items()
-    }
-    seconds = design.seconds(chosen)
-    changes = weight_changes([s for p in parts for s in p.stages])
-    reason = _reason(design, chosen, named, seconds, changes)
+    names = [h.name for h in design.hypotheses]
+    document = as_document(name, [c.part for c in chosen])
+    seconds, changes = design.seconds(chosen), weight_changes(document.value.stages)
+    motion = sum(s.repeats * s.duration_s for s in document.value.stages)
+    weights = "no weight" if not changes else f"{changes} weight{'s' if changes > 1 else ''}"
+    cost = f"{motion:.0f} s, {weights}, {seconds / 60.0:.1f} min of the bench"
     return Proposal(
         "cover" if cover else "separate",
-        parts,
-        as_document(name, parts, f"# {reason}\n"),
-        reason,
+        document,
+        f"{_purpose(design, chosen, apart)}; {cost}",
         seconds,
         changes,
-        named,
-        len(design.judged) + len(design.refused),
+        {(names[a], names[b]): z for (a, b), z in apart.items()},
         design.refused,
     )
 
@@ -199,56 +193,46 @@ def _simulated(
     progress: Progress,
     avoided: Collection[str],
     cover: bool,
-) -> _Design | None:
-    """Simulate every part under every hypothesis."""
+) -> _Design:
+    """Simulate every part under every hypothesis that is not rejected."""
     hypotheses: list[Hypothesis] = []
     machines: list[Machine] = []
     for h in weighed.hypotheses:
-        if len(hypotheses) == (1 if cover else MOST_HYPOTHESES):
-            break
-        if h.preference >= REJECTED and not cover:
-            continue
-        try:
-            machines.append(bench.machine(h.model))
-        except InputError:
-            continue
-        hypotheses.append(h)
-    if not hypotheses:
-        return None
+        if h.preference < REJECTED and len(hypotheses) < MOST_HYPOTHESES:
+            with suppress(InputError):  # an effect that the simulated machine cannot have
+                machines.append(bench.machine(h.model))
+                hypotheses.append(h)
     terms = MOTION if cover else ()
-    before = tuple(present(h.joint, terms) for h in hypotheses)
-    total = sum(h.weight for h in hypotheses)
     judged: list[_Judged] = []
     refused: dict[str, str] = {}
     drifts = any(EFFECTS[n].separation is Separation.SESSION for h in hypotheses for n in h.names)
-    parts = [p for p in family(bench.document.value, rng, drifts) if p.name not in avoided]
+    parts = [
+        part
+        for part in family(bench.document.value, rng, drifts)
+        if not {stage.name for stage in part.stages} & {*avoided}
+    ]
     models = [h.model for h in hypotheses]
-    for k, part in enumerate(parts):
+    for k, part in enumerate(parts if hypotheses else ()):
         progress("simulating experiments", k / len(parts))
         try:
             plan = bench.plan(as_document("x", [part]), models)
-            found = _Judged(part)
-            for truth, machine in enumerate(machines):
-                simulated = bench.simulate(plan, machine)
-                if simulated.problem:
-                    refused[part.name] = f"{hypotheses[truth].name}: {simulated.problem}"
-                    break
-                here = experiment_views(simulated.recordings, hypotheses[0].joint, bandwidth_Hz)
-                for model, h in enumerate(hypotheses):
-                    found.evidence[truth, model] = evidence(h.joint, here, terms)
-            else:
-                judged.append(found)
+            runs = [bench.simulate(plan, machine) for machine in machines]
+            near = [
+                f"{h.name}: {r.problem}" for h, r in zip(hypotheses, runs, strict=True) if r.problem
+            ]
+            if near:
+                refused[part.name] = near[0]
+                continue
+            found: dict[Pair, Evidence] = {}
+            for truth, run in enumerate(runs[:1] if cover else runs):
+                here = experiment_views(run.recordings, hypotheses[0].joint, bandwidth_Hz)
+                for model, h in enumerate(hypotheses[:1] if cover else hypotheses):
+                    found[truth, model] = evidence(h.joint, here, terms)
+            judged.append(_Judged(part, found))
         except (InputError, RecordingError) as error:
             refused[part.name] = str(error)
-    return _Design(
-        bench,
-        tuple(hypotheses),
-        before,
-        tuple(h.weight / total for h in hypotheses),
-        tuple(judged),
-        refused,
-        visibility(before[0]) if cover else np.zeros(0),
-    )
+    before = [present(h.joint, terms) for h in hypotheses]
+    return _Design(bench, hypotheses, cover, before, judged, refused)
 
 
 def _best(design: _Design, most_s: float, progress: Progress) -> list[_Judged]:
@@ -259,48 +243,34 @@ def _best(design: _Design, most_s: float, progress: Progress) -> list[_Judged]:
     rate = 0.0
     for count in range(MOST_PARTS):
         progress("composing the experiment", count / MOST_PARTS)
-        trials = []
-        for one in design.judged:
-            if one in chosen:
-                continue
-            together = [*chosen, one]
-            seconds = design.seconds(together)
-            if seconds <= most_s:
-                trials.append((design.worth(together) / seconds, one))
-        best = max(trials, key=lambda t: t[0], default=None)
-        if best is None or best[0] <= rate:
+        used = {one.part.name for one in chosen}
+        trials = [[*chosen, one] for one in design.judged if one.part.name not in used]
+        rated = [
+            (design.worth(trial) / seconds, k)
+            for k, trial in enumerate(trials)
+            if (seconds := design.seconds(trial)) <= most_s
+        ]
+        if not rated or max(rated)[0] <= rate:
             break
-        rate = best[0]
-        chosen.append(best[1])
+        rate, best = max(rated)
+        chosen = trials[best]
     return chosen
 
 
-def _reason(
-    design: _Design,
-    chosen: Sequence[_Judged],
-    apart: Mapping[tuple[str, str], float],
-    seconds: float,
-    changes: int,
-) -> str:
-    """Return the sentence that states the purpose of an experiment, with numbers."""
-    motion = sum(s.repeats * s.duration_s for c in chosen for s in c.part.stages)
-    weights = "no weight" if not changes else f"{changes} weight{'s' if changes > 1 else ''}"
-    cost = f"{motion:.0f} s, {weights}, {seconds / 60.0:.1f} min of the bench"
-    if not apart:
-        shown = visibility(design.before[0] + design.added(chosen)[0, 0])
-        gains = shown / np.maximum(design.visible, 1e-30)
-        best = sorted(zip(gains.tolist(), MOTION, strict=True), key=lambda g: -g[0])[:3]
-        words = ", ".join(title(e.name) for _, e in best)
-        return f"shows what the recordings so far show least: {words}; {cost}"
-    first, known = design.hypotheses[0], {h.name: h.preference for h in design.hypotheses}
-    rivals = [
-        (b if a == first.name else a, z) for (a, b), z in apart.items() if first.name in (a, b)
-    ]
+def _purpose(design: _Design, chosen: Sequence[_Judged], apart: Mapping[Pair, float]) -> str:
+    """Return what an experiment is for, with numbers."""
+    if design.cover:
+        order = np.argsort(-design.shown(chosen), kind="stable")[:3]
+        least = ", ".join(title(MOTION[k].name) for k in order)
+        return f"shows what the recordings so far show least: {least}"
+    rivals = design.hypotheses
     against = [
-        f"from {spoken(name)} by {z:.1f} sigma (the recordings so far: {known[name]:.1f})"
-        for name, z in rivals
+        f"from {spoken(rivals[b].name)} by {z:.1f} sigma (the recordings so far: "
+        f"{rivals[b].preference:.1f})"
+        for (a, b), z in apart.items()
+        if a == 0
     ]
-    return f"separates {spoken(first.name)} {', '.join(against)}; {cost}"
+    return f"separates {spoken(rivals[0].name)} {', '.join(against)}"
 
 
 def spoken(name: str) -> str:

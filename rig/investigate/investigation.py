@@ -158,11 +158,6 @@ class Judgement(NamedTuple):
         """The diagnosis."""
         return self.outcome.diagnosis
 
-    @property
-    def bandwidth_Hz(self) -> float:
-        """Bandwidth of the torque equation."""
-        return self.diagnosis.fit.bandwidth_Hz
-
 
 def read_runs(folders: Sequence[Path]) -> Dataset:
     """Return the recordings of several runs as one dataset; the recorded part of a run that ended
@@ -367,54 +362,45 @@ class Investigation:
         designed = [e for e in state.experiments if e.purpose in ("separate", "cover")]
         covered = sum(e.purpose == "cover" for e in designed)
         rivals = open_rivals(judged.weighed)
-        state.cannot_separate = []
         certain = max(judged.weighed.odds.values()) >= STOP_ODDS
+        state.cannot_separate = []
+        found = None
         if verdict is Verdict.NAMED and not rivals and certain and designed:
             state.ended = f"the odds are at least {STOP_ODDS:.0%} and every rival is separated"
         elif state.left_s < LEAST_S:
             state.ended = f"the budget of {state.budget_min:g} minutes is spent"
         elif len(designed) >= MOST_EXPERIMENTS:
             state.ended = f"{MOST_EXPERIMENTS} experiments did not suffice"
-        if state.ended:
-            state.cannot_separate = pairs(judged.weighed, rivals) if rivals else []
-            return None
-        if rivals:
-            found = self._propose(judged, False)
-            if found is not None:
-                return found
-            state.cannot_separate = pairs(judged.weighed, rivals)
-        if covered < COVERING and not (rivals and designed):
-            found = self._propose(judged, True)
-            if found is not None:
-                return found
-        state.ended = (
-            "no experiment within the limits, weights and channels of this bench separates the rest"
-            if rivals
-            else f"{covered} experiments that show what the others did not changed nothing"
-        )
-        return None
+        else:
+            found = next_experiment(
+                self._bench,
+                judged,
+                state.seed,
+                len(state.experiments) + 1,
+                self._progress,
+                state.left_s,
+                self._tripped(),
+                covered < COVERING and not (rivals and designed),
+            )
+        if rivals and (found is None or found.purpose == "cover"):
+            first = judged.weighed.hypotheses[0]
+            state.cannot_separate = [
+                {"names": [first.name, r.name], "needs": needs(first, r)} for r in rivals
+            ]
+        if found is None and not state.ended:
+            state.ended = (
+                "no experiment within limits, weights and channels of this bench separates the rest"
+                if rivals
+                else f"{covered} experiments that show what the others did not changed nothing"
+            )
+        return found
 
-    def _propose(self, judged: Judgement, cover: bool) -> Proposal | None:
-        state = self.state
-        number = len(state.experiments) + 1
-        tripped = [e for e in state.experiments if e.state == Ending.TRIPPED.value and e.sequence]
-        avoided = [
-            stage.name
-            for e in tripped
-            for stage in read_record(self._place(e.run)).stages
-            if stage.state == Ending.TRIPPED.value
-        ]
-        return propose(
-            self._bench,
-            judged.weighed,
-            judged.bandwidth_Hz,
-            np.random.default_rng([state.seed, number]),
-            self._progress,
-            f"experiment-{number}",
-            state.left_s,
-            avoided,
-            cover,
-        )
+    def _tripped(self) -> list[str]:
+        """Return the names of the stages that have tripped."""
+        tripped = Ending.TRIPPED.value
+        runs = [e.run for e in self.state.experiments if e.state == tripped and e.sequence]
+        stages = [s for run in runs for s in read_record(self._place(run)).stages]
+        return [stage.name for stage in stages if stage.state == tripped]
 
     def _confirm(self, final: Judgement) -> None:
         """Predict one more experiment, seal the prediction, and run the experiment."""
@@ -461,18 +447,22 @@ def given_run(folder: Path) -> Experiment:
 
 
 def next_experiment(
-    bench: Document[Bench], judged: Judgement, seed: int, number: int, progress: Progress
+    bench: SimulatedBench,
+    judged: Judgement,
+    seed: int,
+    number: int,
+    progress: Progress,
+    most_s: float = math.inf,
+    avoided: Sequence[str] = (),
+    cover: bool = True,
 ) -> Proposal | None:
-    """Return the experiment that separates the open hypotheses, or else one that shows what no
-    recording has shown; None if no experiment of the bench does.
+    """Return the experiment that separates the open hypotheses, or else, with ``cover``, one that
+    shows what no recording has shown; None if there is none. Arguments as in :func:`propose`.
     """
-    simulated = SimulatedBench.of(bench)
-    for cover in (False, True) if open_rivals(judged.weighed) else (True,):
-        rng = np.random.default_rng([seed, number])
-        name = f"experiment-{number}"
-        found = propose(
-            simulated, judged.weighed, judged.bandwidth_Hz, rng, progress, name, cover=cover
-        )
+    for covering in [False] * bool(open_rivals(judged.weighed)) + [True] * cover:
+        rng, name = np.random.default_rng([seed, number]), f"experiment-{number}"
+        hertz, weighed = judged.diagnosis.fit.bandwidth_Hz, judged.weighed
+        found = propose(bench, weighed, hertz, rng, progress, name, most_s, avoided, covering)
         if found is not None:
             return found
     return None
@@ -481,12 +471,6 @@ def next_experiment(
 def open_rivals(weighed: Weighed) -> list[Hypothesis]:
     """Return the hypotheses that the recordings have not separated from the most likely one."""
     return [h for h in weighed.hypotheses[1:] if h.preference < REJECTED]
-
-
-def pairs(weighed: Weighed, rivals: Sequence[Hypothesis]) -> list[dict[str, Any]]:
-    """Return the pairs that are not separated, with what would separate them."""
-    first = weighed.hypotheses[0]
-    return [{"names": [first.name, r.name], "needs": needs(first, r)} for r in rivals]
 
 
 def needs(first: Hypothesis, rival: Hypothesis) -> str:

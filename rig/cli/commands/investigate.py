@@ -298,6 +298,7 @@ def design(
     from rig.common.provenance import heading
     from rig.config.bench import load_bench
     from rig.config.sequence import plain_sequence, sequence_text
+    from rig.investigate.experiments import SimulatedBench
     from rig.investigate.investigation import judge, next_experiment
     from rig.terminal.output import ShareBar
 
@@ -305,7 +306,7 @@ def design(
     bench_file = load_bench(bench)
     with ShareBar() as bar:
         judged = judge(runs, seed, _effects(question), bar)
-        found = next_experiment(bench_file, judged, seed, len(runs) + 1, bar)
+        found = next_experiment(SimulatedBench.of(bench_file), judged, seed, len(runs) + 1, bar)
     record = {
         **heading("loadrig.design/1"),
         "seed": seed,

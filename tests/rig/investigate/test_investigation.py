@@ -73,7 +73,6 @@ class World:
             outcome=outcome,
             diagnosis=diagnosis,
             weighed=weighed(preference),
-            bandwidth_Hz=25.0,
             found=None,
         )
 
