@@ -4,7 +4,7 @@ never fitted.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,8 @@ from identification.numerics.arrays import Array
 from identification.recording import Dataset, RecordingError
 from identification.views.view import views
 from rig.common.errors import InputError
-from rig.common.places import read_json
-from rig.common.provenance import plain, sha256_file
+from rig.common.provenance import plain
 from rig.config.sequence import Sequence as Stages
-from rig.config.sequence import plain_sequence
 from rig.investigate.choice import Progress
 from rig.investigate.experiments import (
     Part,
@@ -48,74 +46,27 @@ class Prediction:
 
     Attributes:
         sequence: The experiment.
-        bandwidth_Hz: Bandwidth of the torque.
-        floor_rms: Noise floor of the torque in the recordings so far, N m.
-        names: Name of each recording.
-        time: Times in steady motion since the start of the excitation, s, for each recording.
-        torque: Predicted torque of the drive at these times, N m.
-        half_width: Half width of the band, N m.
+        sealed: Content of the sealed file: ``bandwidth_Hz`` of the torque, ``band``, ``floor_rms``
+            (noise floor of the torque in the recordings so far, N m), and for each of the
+            ``recordings`` times in steady motion since the start of the excitation, ``time_s``,
+            ``torque_N_m`` and ``half_width_N_m`` of the band.
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight is hung or taken off.
     """
 
     sequence: Stages
-    bandwidth_Hz: float
-    floor_rms: float
-    names: tuple[str, ...]
-    time: tuple[Array, ...]
-    torque: tuple[Array, ...]
-    half_width: tuple[Array, ...]
+    sealed: Mapping[str, Any]
     seconds: float
     weight_changes: int
-
-    @classmethod
-    def read(cls, path: Path, digest: str) -> Prediction:
-        """Read a sealed prediction.
-
-        Raises:
-            InputError: The file cannot be read, or was changed after it was sealed.
-        """
-        raw = read_json(path)
-        if (found := sha256_file(path)) != digest:
-            raise InputError(
-                f"{path}: SHA-256 is {found}, was {digest} when sealed; the prediction was changed"
-            )
-        each = raw["recordings"]
-        return cls(
-            Stages.model_validate_json(json.dumps(raw["sequence"])),
-            raw["bandwidth_Hz"],
-            raw["floor_rms"],
-            tuple(r["name"] for r in each),
-            tuple(np.array(r["time_s"]) for r in each),
-            tuple(np.array(r["torque_N_m"]) for r in each),
-            tuple(np.array(r["half_width_N_m"]) for r in each),
-            raw["seconds"],
-            raw["weight_changes"],
-        )
 
     @property
     def reason(self) -> str:
         """Why the experiment is run."""
+        samples = sum(len(r["time_s"]) for r in self.sealed["recordings"])
         return (
-            f"confirms the model: {sum(map(len, self.time))} samples of torque are predicted with "
-            f"a {BAND:.0%} band before it runs; {self.seconds / 60.0:.1f} min of the bench"
+            f"confirms the model: {samples} samples of torque are predicted with a {BAND:.0%} band "
+            f"before it runs; {self.seconds / 60.0:.1f} min of the bench"
         )
-
-    def record(self) -> dict[str, Any]:
-        """Return the content of the sealed file."""
-        series = zip(self.names, self.time, self.torque, self.half_width, strict=True)
-        return {
-            "bandwidth_Hz": self.bandwidth_Hz,
-            "floor_rms": self.floor_rms,
-            "band": BAND,
-            "recordings": [
-                {"name": n, "time_s": plain(t), "torque_N_m": plain(m), "half_width_N_m": plain(h)}
-                for n, t, m, h in series
-            ],
-            "seconds": self.seconds,
-            "weight_changes": self.weight_changes,
-            "sequence": plain_sequence(self.sequence),
-        }
 
 
 @dataclass(frozen=True)
@@ -188,17 +139,23 @@ def predict(
         except (InputError, RecordingError):
             continue
         wide = float(stats.norm.ppf(0.5 + 0.5 * BAND))
-        return Prediction(
-            document.value,
-            torque.bandwidth_Hz,
-            torque.noise_floor_rms,
-            tuple(r.name for r in simulated.recordings),
-            band.time,
-            band.torque,
-            tuple(wide * e for e in band.error),
-            bench_seconds(plan),
-            weight_changes(plan.stages),
-        )
+        series = zip(simulated.recordings, *band, strict=True)
+        sealed = {
+            "bandwidth_Hz": torque.bandwidth_Hz,
+            "band": BAND,
+            "floor_rms": torque.noise_floor_rms,
+            "recordings": [
+                {
+                    "name": recording.name,
+                    "time_s": plain(time),
+                    "torque_N_m": plain(predicted),
+                    "half_width_N_m": plain(wide * error),
+                }
+                for recording, time, predicted, error in series
+            ],
+        }
+        changes = weight_changes(plan.stages)
+        return Prediction(document.value, sealed, bench_seconds(plan), changes)
     return None
 
 
@@ -206,23 +163,26 @@ def _motion(part: Part) -> str:
     return part.name.rpartition("-")[0]
 
 
-def compare(prediction: Prediction, measured: Dataset) -> Confirmation:
-    """Compare a prediction with the recordings of its experiment, where both move steadily."""
+def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
+    """Compare a prediction, the content of its sealed file, with the recordings of its experiment,
+    where both move steadily.
+    """
     traces = []
-    for k, view in enumerate(views(measured.recordings, prediction.bandwidth_Hz)):
+    found = views(measured.recordings, sealed["bandwidth_Hz"])
+    for view, predicted in zip(found, sealed["recordings"], strict=True):
         time, torque, half = (
-            each[k] for each in (prediction.time, prediction.torque, prediction.half_width)
+            np.array(predicted[key]) for key in ("time_s", "torque_N_m", "half_width_N_m")
         )
         since = view.kept_times - view.time[0]
         moving = np.interp(time, since, view.moving.astype(np.float64)) > 0.999
         seen = np.interp(time, since, view.low_pass(view.torque))
-        traces.append(tuple(each[moving] for each in (time, torque, half, seen)))
+        traces.append((time[moving], torque[moving], half[moving], seen[moving]))
     torque, half, seen = (np.concatenate([t[k] for t in traces]) for k in (1, 2, 3))
     error = seen - torque
     return Confirmation(
         float(np.mean(np.abs(error) <= half)),
         float(np.sqrt(np.mean(error**2))),
-        prediction.floor_rms,
+        sealed["floor_rms"],
         len(error),
         traces[0],
     )

@@ -30,7 +30,7 @@ from rig.config.configuration import Document
 from rig.config.sequence import Sequence as Stages
 from rig.config.sequence import load_sequence, sequence_text
 from rig.investigate.choice import REJECTED, Progress, Proposal, propose, spoken
-from rig.investigate.confirmation import Confirmation, Prediction, compare, predict
+from rig.investigate.confirmation import Confirmation, compare, predict
 from rig.investigate.experiments import SimulatedBench, bench_seconds, weight_changes
 from rig.planning.plan import make_plan
 from rig.results.diagnose.diagnose import Outcome, diagnose_dataset
@@ -413,7 +413,7 @@ class Investigation:
             self._say("no confirming experiment: the model of the result cannot be simulated")
             return
         path = self._folder / PREDICTION_FILE
-        write_json(path, prediction.record())
+        write_json(path, prediction.sealed)
         state.confirmation = {"predicted_sha256": sha256_file(path)}
         self._say(f"prediction sealed: SHA-256 {state.confirmation['predicted_sha256']}")
         e = _planned(prediction.reason, prediction.seconds, prediction.weight_changes, "confirm")
@@ -424,9 +424,12 @@ class Investigation:
         runs = [e for e in self._confirming() if e.state == Ending.DONE.value]
         if not runs:
             return None
-        digest = self.state.confirmation["predicted_sha256"]
-        prediction = Prediction.read(self._folder / PREDICTION_FILE, digest)
-        found = compare(prediction, load_run(self._place(runs[-1].run)))
+        path, digest = self._folder / PREDICTION_FILE, self.state.confirmation["predicted_sha256"]
+        if (now := sha256_file(path)) != digest:
+            raise InputError(
+                f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
+            )
+        found = compare(read_json(path), load_run(self._place(runs[-1].run)))
         self.state.confirmation |= found.record()
         self.state.save(self._folder)
         return found

@@ -109,7 +109,7 @@ class World:
         self.moment()
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
         sequence = as_document("confirm", parts).value
-        return Prediction(sequence, 25.0, 0.1, ("a",), (Z,), (Z,), (Z + 1.0,), 60.0, 0)
+        return Prediction(sequence, {"floor_rms": 0.1, "recordings": []}, 60.0, 0)
 
     def begin(self, state: State) -> Investigation:
         bench = load_bench("practical")
@@ -241,7 +241,7 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
     path = world.folder / loop.PREDICTION_FILE
     path.write_text(path.read_text().replace("0.1", "0.2", 1))
     with pytest.raises(InputError, match="sealed"):
-        Prediction.read(path, state.confirmation["predicted_sha256"])
+        world.begin(state).run()
 
 
 @pytest.mark.parametrize(
