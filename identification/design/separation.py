@@ -36,7 +36,7 @@ from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect
 from identification.effects.model import CorrectedModel
 from identification.numerics.arrays import Array
-from identification.recording import Recording
+from identification.recording import Recording, RecordingError
 from identification.views.nominal import SPEEDS
 from identification.views.view import View, views
 
@@ -249,6 +249,9 @@ def evidence(joint: Joint, here: Sequence[View], terms: Sequence[Effect] = ()) -
         joint: Fit of the model.
         here: Views of the recordings.
         terms: Effects whose visibility is asked for.
+
+    Raises:
+        RecordingError: The recordings have no row.
     """
     return _evidence(stack_of(_rows(joint, here), joint.nominal), joint, terms)
 
@@ -258,7 +261,10 @@ def _rows(joint: Joint, here: Sequence[View]) -> list[Equation]:
     sigma = {e.name: e.sigma for e in joint.equations}
     sigma.setdefault("breakaway", BREAKAWAY_NOISE * sigma["torque"])
     rows = equations(here, joint.nominal, joint.unit)
-    return [with_noise(e, sigma[e.name]) for e in rows if e.name in sigma]
+    known = [with_noise(e, sigma[e.name]) for e in rows if e.name in sigma]
+    if not known:
+        raise RecordingError("no sample is in steady motion")
+    return known
 
 
 def present(joint: Joint, terms: Sequence[Effect] = ()) -> Evidence:
@@ -294,9 +300,16 @@ def _linearised(stack: Stack, joint: Joint) -> tuple[Array, Array]:
     for equation in stack.equations:
         if equation.name == "torque":
             slopes[stack.part("torque")] = equation.tangent[:, :count] / equation.sigma
+    here = {e.name for e in stack.equations}
+    columns = [slopes]
     for effect in joint.effects:
-        left = left - contribution(stack, effect)
-    slopes = np.concatenate([slopes, effect_derivatives(stack, joint.effects)], axis=1)
+        if here & effect.term.columns.keys():
+            left = left - contribution(stack, effect)
+            columns.append(effect_derivatives(stack, [effect]))
+        else:
+            fitted = len(effect.coefficients) if effect.term.size is None else 0
+            columns.append(np.zeros((len(left), fitted + len(effect.term.refine))))
+    slopes = np.concatenate(columns, axis=1)
     return (
         _without_nuisances(stack, joint, left[:, None])[:, 0],
         _without_nuisances(stack, joint, slopes),

@@ -22,6 +22,7 @@ from identification.effects.model import CorrectedModel
 from identification.model.parameters import NOMINAL
 from identification.recording import Bench as Constants
 from identification.recording import Recording
+from identification.views.nominal import SPEEDS
 from rig.common.errors import InputError
 from rig.common.yaml_tree import parse
 from rig.config.bench import Bench, redacted
@@ -249,6 +250,9 @@ class SimulatedBench:
         Raises:
             InputError: The machine cannot represent an effect of the model.
         """
+        # Friction that does not fall has no Stribeck speed; the machine needs one.
+        values = {n: v or NOMINAL[n] if n in SPEEDS else v for n, v in model.parameters.items()}
+        model = dataclasses.replace(model, parameters=values)
         tree, notes = model_bench(self.base, model, self.constants)
         if missing := [name for name in model.effects if name not in tree["mock"]["effects"]]:
             raise InputError(f"{', '.join(missing)} cannot be simulated: {'; '.join(notes)}")

@@ -10,8 +10,7 @@ import pytest
 from rig.cli.entry import status
 from rig.config.sequence import load_sequence
 from rig.runs.run_file import read_record
-
-from ..benches import variant
+from tests.rig.benches import variant
 
 CONTRACT = {"verdict", "effects", "fit", "experiments", "bench_seconds", "confirmation"}
 
