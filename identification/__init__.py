@@ -16,7 +16,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from identification.library import Effect, catalogue, diagnose, identify, plan, simulate
+    from identification.library import (
+        Effect,
+        catalogue,
+        diagnose,
+        effect,
+        identify,
+        plan,
+        simulate,
+    )
     from identification.recording import (
         Bench,
         Controller,
@@ -40,11 +48,12 @@ __all__ = [
     "RecordingError",
     "catalogue",
     "diagnose",
+    "effect",
     "identify",
     "plan",
     "simulate",
 ]
-_LIBRARY = frozenset({"Effect", "catalogue", "diagnose", "identify", "plan", "simulate"})
+_LIBRARY = frozenset({"Effect", "catalogue", "diagnose", "effect", "identify", "plan", "simulate"})
 
 
 def __getattr__(name: str) -> Any:

@@ -85,6 +85,7 @@ def diagnose(
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
     inspect: Callable[[Joint], None] | None = None,
+    searched: Callable[[Search], None] | None = None,
     estimate: Estimate | None = None,
     effects: Sequence[Effect | type[Effect]] = (),
 ) -> Diagnosis:
@@ -96,6 +97,7 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share of the step that is done.
         inspect: Called with the fit of the nominal model before the search.
+        searched: Called with the search whose effects are reported.
         estimate: The estimator of ``rig identify``, whose constants are those of the nominal
             model; the constants of the corrected model are refined by prediction errors too. With
             None, the constants are those of the fit of the rows.
@@ -118,6 +120,8 @@ def diagnose(
         inspect(first)
     task = _Task(dataset, first, bandwidth, rng, report)
     here, aside, found, judged = _searches(task, terms)
+    if searched is not None:
+        searched(found)
     report("identifying the nominal parameters", 0.96)
     nominal, more = _nominal_constants(everything, found, estimate)
     whole = _Whole(everything, found, nominal, bandwidth, estimate is not None, rng)

@@ -56,6 +56,14 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.diagnose:diagnose",
         "Find physics that the model lacks, and add it to the model.",
     ),
+    "investigate": (
+        "rig.cli.commands.investigate:investigate",
+        "Choose and run experiments until the missing physics is named.",
+    ),
+    "design": (
+        "rig.cli.commands.investigate:design",
+        "Propose the next experiment for recorded runs; run nothing.",
+    ),
     "effects": ("rig.cli.commands.diagnose:effects", "List the effects of a diagnosis."),
     "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (

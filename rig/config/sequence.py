@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
@@ -356,6 +357,17 @@ def load_acceptance(path: Path) -> Document[AcceptanceFile]:
 def load_sequence(name: str | Path) -> Document[Sequence]:
     """Read a sequence by path or packaged name; the InputError has every problem with its place."""
     return load_located(resolve(name, "sequences"), Sequence)
+
+
+def sequence_text(sequence: Sequence, head: str = "") -> str:
+    """Return a sequence as the text of its file, after the lines ``head``."""
+    return head + yaml.safe_dump(plain_sequence(sequence), sort_keys=False, allow_unicode=True)
+
+
+def plain_sequence(sequence: Sequence) -> dict[str, Any]:
+    """Return what a sequence states, as plain data."""
+    given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
+    return {"sequence": sequence.sequence, **given}
 
 
 def excitation(stage: StageSection, cycle_s: float) -> Array:

@@ -15,6 +15,7 @@ from identification.diagnosis.diagnose import as_exact, diagnose
 from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
+from identification.diagnosis.search import Search
 from identification.effects import EffectError
 from identification.estimate.default import identify_any_length
 from identification.recording import Dataset, RecordingError
@@ -59,10 +60,36 @@ def diagnose_source(
     partial: bool = False,
     own: OwnFile = NO_FILE,
 ) -> Outcome:
-    """Diagnose a run folder or campaign file.
+    """Diagnose a run folder or campaign file, see :func:`diagnose_dataset`.
+
+    With ``partial``, unfinished excitations of a run are used as well; a warning in the result
+    names these excitations.
+    """
+    if progress is not None:
+        progress("reading", 0.0)
+    stated = load_source(source, partial=partial)
+    return diagnose_dataset(
+        stated, source, seed, bandwidth_Hz, progress, refine, gas, inspect, own=own
+    )
+
+
+def diagnose_dataset(
+    stated: Dataset,
+    source: Path,
+    seed: int,
+    bandwidth_Hz: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    refine: bool = False,
+    gas: bool = False,
+    inspect: Callable[[Joint], None] | None = None,
+    searched: Callable[[Search], None] | None = None,
+    own: OwnFile = NO_FILE,
+) -> Outcome:
+    """Diagnose recordings.
 
     Args:
-        source: Run folder or campaign file.
+        stated: The recordings, with uncertainties and priors as stated.
+        source: Run folder or campaign file of the recordings, or of the first of them.
         seed: Seed of the random generator.
         bandwidth_Hz: Bandwidth of every equation except that of the pressure; None to choose it
             from the recordings.
@@ -74,8 +101,8 @@ def diagnose_source(
             recordings without a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
             generator.
-        partial: Whether to use unfinished excitations of a run as well; a warning in the result
-            names these excitations.
+        searched: Receives the fits of all hypotheses after the search; not called for a gas
+            generator.
         own: File with effects of one's own, which a gas generator does not have.
 
     Raises:
@@ -83,9 +110,6 @@ def diagnose_source(
             one's own fails.
     """
     started = time.perf_counter()
-    if progress is not None:
-        progress("reading", 0.0)
-    stated = load_source(source, partial=partial)
     dataset, exact = as_exact(stated)
     try:
         rng = np.random.default_rng(seed)
@@ -104,6 +128,7 @@ def diagnose_source(
                 rng=rng,
                 progress=progress,
                 inspect=inspect,
+                searched=searched,
                 estimate=(lambda _exact: identified(stated, seed, progress)) if refine else None,
                 effects=own.effects,
             )

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from drivers.amt21.encoder import COUNTS_PER_TURN
 from identification.design.propose import Proposal, propose
@@ -26,7 +25,16 @@ from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
-from rig.config.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
+from rig.config.sequence import (
+    Array,
+    Ramp,
+    Sequence,
+    StageSection,
+    Tone,
+    excitation,
+    plain_sequence,
+    sequence_text,
+)
 from rig.planning.limits import Limits
 from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
 from rig.planning.reference import read_identification
@@ -312,14 +320,7 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
         f"{bench}, seed {experiment.seed}.\n"
         f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
     )
-    return head + yaml.safe_dump(
-        _plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
-    )
-
-
-def _plain_sequence(sequence: Sequence) -> dict[str, Any]:
-    given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
-    return {"sequence": sequence.sequence, **given}
+    return sequence_text(experiment.proposed, head)
 
 
 def _intervals_words(found: Intervals) -> str:
@@ -455,7 +456,7 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
 
 def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
     return {
-        "sequence": _plain_sequence(sequence),
+        "sequence": plain_sequence(sequence),
         "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
         "weakest": found.weakest,
     }

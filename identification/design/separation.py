@@ -1,0 +1,425 @@
+"""Weighs hypotheses, fits of different effects to the recordings so far, and computes how far a
+further experiment separates them.
+
+An experiment is simulated under one hypothesis, the truth, and explained by another, the model:
+the model is fitted again to the recordings so far and the simulated ones, with the rows, the noise
+and the derivatives of the diagnosis. The sum of its squares exceeds that of the truth by d^2, where
+d is the distance of the two predictions in standard deviations of the noise. The comparison of the
+two fits in the next diagnosis then prefers the truth by about d/2 standard errors, and the error
+probability of the better of two equally likely normal hypotheses is at most exp(-d^2/8) / 2
+(Bhattacharyya; Kailath, IEEE Transactions on Communication Technology 15 (1967) 52).
+
+Information is additive, so that an experiment is the sum of parts, each of which is simulated once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.diagnosis.comparison import implausible, preference, probability
+from identification.diagnosis.joint import Added, Joint, contribution, with_noise
+from identification.diagnosis.judgement import little_unseen
+from identification.diagnosis.linear import effect_derivatives
+from identification.diagnosis.result import Verdict
+from identification.diagnosis.rows import Equation, equations
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
+from identification.diagnosis.significance import trial_candidates
+from identification.diagnosis.stack import Stack, stack_of
+from identification.effects import EFFECTS
+from identification.effects.effect import Context, Effect
+from identification.effects.model import CorrectedModel
+from identification.numerics.arrays import Array
+from identification.recording import Recording, RecordingError
+from identification.views.nominal import SPEEDS
+from identification.views.view import View, views
+
+NOTHING, OUTSIDE, UNSEEN = "nothing", "outside", "unseen"
+"""Names of the hypotheses that nothing is missing, that an effect outside the catalogue is missing,
+and that one is missing which the recordings so far cannot show.
+"""
+JOINED = " + "
+BREAKAWAY_NOISE = 3.0
+"""Noise of a row of the breakaway equation, over that of the torque equation, where the recordings
+so far have too few breakaways for an estimate: one sample is not filtered.
+"""
+OUTSIDE_SHARE = 0.02
+"""Probability, before any test, that the missing physics is outside the catalogue."""
+WIDE = 1.0
+"""Standard deviation of a nominal constant before any recording, over its value: linear steps far
+beyond it would have no physical meaning.
+"""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects, fitted jointly with the nominal constants to the recordings so far.
+
+    Attributes:
+        names: Names of the effects; empty if nothing is missing.
+        joint: The fit.
+        preference: Preference of the data for the best hypothesis over this one, standard errors.
+        weight: Relative weight of the hypothesis; the odds are weights over their sum.
+    """
+
+    names: tuple[str, ...]
+    joint: Joint
+    preference: float
+    weight: float
+
+    @property
+    def name(self) -> str:
+        """Names of the effects as one name."""
+        return JOINED.join(self.names) or NOTHING
+
+    @property
+    def model(self) -> CorrectedModel:
+        """The hypothesis as a model for a simulation.
+
+        Effects of one recording alone are left out, because they do not occur in the next one.
+        """
+        joint = self.joint
+        context = Context(joint.views, joint.nominal)
+        lasting = [e for e in joint.effects if e.term.place is None]
+        effects = {e.term.name: e.parameters(context) for e in lasting}
+        return CorrectedModel(joint.nominal.values, joint.nominal.alpha, effects)
+
+
+class Weighed(NamedTuple):
+    """Hypotheses, the most likely one first, and the weights of what has no model: an effect
+    outside the catalogue, and one that the recordings cannot show.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    outside: float
+    unseen: float = 0.0
+
+    @property
+    def odds(self) -> dict[str, float]:
+        """Probability of each hypothesis, by name, greatest first; the sum is 1."""
+        found = {h.name: h.weight for h in self.hypotheses}
+        found |= {OUTSIDE: self.outside, UNSEEN: self.unseen}
+        total = sum(found.values())
+        return {n: w / total for n, w in sorted(found.items(), key=lambda item: -item[1])}
+
+
+def weigh(
+    found: Search, verdict: Verdict, terms: Sequence[Effect], wanted: Sequence[str] = ()
+) -> Weighed:
+    """Return the hypotheses that a diagnosis leaves, with their weights.
+
+    The hypotheses are the identified effects, each of them replaced by each of its rivals and by
+    the catalogue's look-alikes, and nothing. A rival has the probability of the comparison of the
+    two fits, in the diagnosis' own test.
+
+    Args:
+        found: Search of the diagnosis.
+        verdict: Verdict of the diagnosis.
+        terms: Effects that were searched for.
+        wanted: Names of the only hypotheses, or empty for all of them; a wanted effect that the
+            diagnosis did not try is fitted.
+    """
+    known = {t.name: t for t in terms}
+    named = verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) and bool(found.final.effects)
+    outside = OUTSIDE_SHARE
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        outside = 1.0
+    elif named and (found.p_after <= RULES.level or little_unseen(found)):
+        outside = 1.0 - RULES.incomplete_confidence
+    final = found.final if named else found.baseline
+    names = tuple(e.term.name for e in final.effects)
+    hypotheses = [Hypothesis(names, final, 0.0, 1.0)]
+    for name in names:
+        hypotheses += _in_place_of(found, name, known, wanted)
+    if named:
+        hypotheses.append(Hypothesis((), found.baseline, math.inf, max(found.p_value, 1e-6)))
+    else:
+        hypotheses += [
+            Hypothesis((t.name,), j, z, _weight(z, implausible(j)))
+            for t in terms
+            if t.name in wanted and (j := fitted_with(found.baseline, found.baseline, t))
+            for z in [preference(found.baseline, j)]
+        ]
+    if wanted:
+        hypotheses = [h for h in hypotheses if {*h.names} <= {*wanted}]
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        hypotheses = [replace(h, weight=h.weight * OUTSIDE_SHARE) for h in hypotheses]
+    unseen = 0.0
+    if verdict is Verdict.NOTHING_MISSING:
+        # Before any recording, one effect of the catalogue is as likely as nothing.
+        so_far = present(found.baseline, terms)
+        hidden = visibility(so_far) <= RULES.collinear_below**2 * so_far.shown[:, 0]
+        unseen = float(np.mean(hidden))
+    return Weighed(tuple(sorted(hypotheses, key=lambda h: -h.weight)), outside, unseen)
+
+
+def _in_place_of(
+    found: Search, name: str, known: Mapping[str, Effect], wanted: Sequence[str]
+) -> list[Hypothesis]:
+    """Return the hypotheses with another effect in place of one identified effect."""
+    final = found.final
+    kept = tuple(e for e in final.effects if e.term.name != name)
+    without = found.baseline.again(final.nominal, kept) if kept else found.baseline
+    rivals = {c.name: c for r in found.rounds if r.name == name for c in r.rivals}
+    others = [*rivals, *(n for n in (*EFFECTS[name].look_alikes, *wanted) if n not in rivals)]
+    out = []
+    for other in dict.fromkeys(others):
+        if other not in known or other in {e.term.name for e in final.effects}:
+            continue
+        contender = rivals.get(other)
+        joint = contender.joint if contender is not None else None
+        if joint is None or all(e.term.name != other for e in joint.effects):
+            joint = fitted_with(found.baseline, without, known[other])
+        if joint is None:
+            continue
+        tried = contender is not None and contender.joint is joint
+        preferred = preference(final, joint)
+        if contender is not None:
+            preferred = contender.preference if tried else min(preferred, 0.0)
+        names = (*(e.term.name for e in kept), other)
+        out.append(Hypothesis(names, joint, preferred, _weight(preferred, implausible(joint))))
+    return out
+
+
+def _weight(preferred: float, beyond: str) -> float:
+    """Return the weight of a rival over that of the best hypothesis."""
+    share = min(1.0, probability(-preferred) / probability(preferred))
+    return min(share, RULES.implausible_confidence) if beyond else share
+
+
+def fitted_with(baseline: Joint, joint: Joint, term: Effect) -> Joint | None:
+    """Return a fit with one more effect, or None if the recordings cannot show the effect."""
+    context = Context(joint.views, joint.nominal)
+    trials = list(trial_candidates(joint.stack, context, [term]))
+    if not trials:
+        return None
+    best = max(trials, key=lambda c: c.score)
+    added = Added(term, best.shape, tuple(best.coefficients.tolist()))
+    return baseline.again(joint.nominal, (*joint.effects, added))
+
+
+# What a further experiment would add.
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What simulated recordings say about one model.
+
+    Attributes:
+        square: Sum of whitened squares at the present values of the model.
+        score: Derivatives' product with the residual, shape (p,).
+        normal: Derivatives' product with themselves, shape (p, p).
+        shown: For each effect of the catalogue, products of its regressor: with itself, and with
+            the derivatives, shape (e, 1 + p); empty if not asked for.
+    """
+
+    square: float
+    score: Array
+    normal: Array
+    shown: Array
+
+    def __add__(self, other: Evidence) -> Evidence:
+        return Evidence(
+            self.square + other.square,
+            self.score + other.score,
+            self.normal + other.normal,
+            self.shown + other.shown,
+        )
+
+
+def experiment_views(
+    recordings: Sequence[Recording], like: Joint, bandwidth_Hz: float
+) -> tuple[View, ...]:
+    """Return simulated recordings as further recordings of a fit."""
+    valve_side = any(np.any(v.twist) for v in like.views)
+    found = views(recordings, bandwidth_Hz, valve_side)
+    return tuple(replace(v, index=len(like.views) + k) for k, v in enumerate(found))
+
+
+def evidence(joint: Joint, here: Sequence[View], terms: Sequence[Effect] = ()) -> Evidence:
+    """Return what recordings, simulated or fitted, say about a model.
+
+    Args:
+        joint: Fit of the model.
+        here: Views of the recordings.
+        terms: Effects whose visibility is asked for.
+
+    Raises:
+        RecordingError: The recordings have no row.
+    """
+    return _evidence(stack_of(_rows(joint, here), joint.nominal), joint, terms)
+
+
+def _rows(joint: Joint, here: Sequence[View]) -> list[Equation]:
+    """Return the equations of further recordings at the values and with the noise of a fit."""
+    sigma = {e.name: e.sigma for e in joint.equations}
+    sigma.setdefault("breakaway", BREAKAWAY_NOISE * sigma["torque"])
+    rows = equations(here, joint.nominal, joint.unit)
+    known = [with_noise(e, sigma[e.name]) for e in rows if e.name in sigma]
+    if not known:
+        raise RecordingError("no sample is in steady motion")
+    return known
+
+
+def present(joint: Joint, terms: Sequence[Effect] = ()) -> Evidence:
+    """Return what the recordings so far say, and what is assumed before any recording."""
+    found = _evidence(joint.stack, joint, terms)
+    nominal = joint.nominal
+    values = np.array([1.0 if n in SPEEDS else abs(nominal.get(n)) for n in nominal.free])
+    prior = np.zeros(len(found.score))
+    prior[: len(values)] = 1.0 / (WIDE * np.maximum(values, 1e-9)) ** 2
+    # At its minimum a fit has no gradient; what is left of it is an error of the linearisation.
+    return replace(
+        found, square=0.0, score=np.zeros_like(prior), normal=found.normal + np.diag(prior)
+    )
+
+
+def _evidence(stack: Stack, joint: Joint, terms: Sequence[Effect]) -> Evidence:
+    context = Context(joint.views, joint.nominal)
+    columns = [_first_column(stack, term, context) for term in terms]
+    shown = np.stack(columns, axis=1) if columns else np.zeros((len(stack.residual), 0))
+    left, slopes = _linearised(stack, joint)
+    shown = _without_nuisances(stack, joint, shown)
+    products = np.concatenate([np.sum(shown**2, axis=0)[:, None], shown.T @ slopes], axis=1)
+    return Evidence(float(left @ left), slopes.T @ left, slopes.T @ slopes, products)
+
+
+def _linearised(stack: Stack, joint: Joint) -> tuple[Array, Array]:
+    """Return the whitened residual of a model at its values, shape (n,), and the derivatives with
+    respect to nominal constants, coefficients and nonlinear parameters, shape (n, p).
+    """
+    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    count = len(joint.nominal.free)
+    slopes = np.zeros((len(left), count))
+    for equation in stack.equations:
+        if equation.name == "torque":
+            slopes[stack.part("torque")] = equation.tangent[:, :count] / equation.sigma
+    here = {e.name for e in stack.equations}
+    columns = [slopes]
+    for effect in joint.effects:
+        if here & effect.term.columns.keys():
+            left = left - contribution(stack, effect)
+            columns.append(effect_derivatives(stack, [effect]))
+        else:
+            fitted = len(effect.coefficients) if effect.term.size is None else 0
+            columns.append(np.zeros((len(left), fitted + len(effect.term.refine))))
+    slopes = np.concatenate(columns, axis=1)
+    return (
+        _without_nuisances(stack, joint, left[:, None])[:, 0],
+        _without_nuisances(stack, joint, slopes),
+    )
+
+
+def _without_nuisances(stack: Stack, joint: Joint, columns: Array) -> Array:
+    """Project out the constants of these recordings alone, such as the zero of an encoder."""
+    out = columns.copy()
+    for equation, basis in zip(stack.equations, stack.basis, strict=True):
+        part = stack.part(equation.name)
+        if equation.name == "torque":
+            basis, _ = np.linalg.qr(equation.tangent[:, len(joint.nominal.free) :])
+        out[part] -= basis @ (basis.T @ out[part])
+    return out
+
+
+class Band(NamedTuple):
+    """Torque of simulated recordings in steady motion, N m, and its standard error as a prediction
+    of a measurement: of the noise, and of the parameters. One entry for each recording.
+    """
+
+    time: tuple[Array, ...]
+    torque: tuple[Array, ...]
+    error: tuple[Array, ...]
+
+
+def predicted_band(joint: Joint, here: Sequence[View]) -> Band:
+    """Return the band around a simulated torque.
+
+    What the model leaves of the recordings beyond their noise is counted as noise.
+    """
+    stack = stack_of(_rows(joint, here), joint.nominal)
+    equation = next(e for e in stack.equations if e.name == "torque")
+    rows = stack.part("torque")
+    _, slopes = _linearised(stack, joint)
+    left = joint.residual[joint.stack.part("torque")]
+    more = max(1.0, float(np.mean(left**2)))
+    normal = present(joint).normal
+    spread = np.sum(slopes[rows] * _solved(normal, slopes[rows].T).T, axis=1)
+    error = equation.sigma * np.sqrt(more * (1.0 + np.maximum(spread, 0.0)))
+    time, torque, errors = [], [], []
+    for view, kept in zip(equation.views, equation.kept, strict=True):
+        mine = equation.owner == view.index
+        time.append(view.kept_times[kept] - view.time[0])
+        torque.append(view.low_pass(view.torque)[kept])
+        errors.append(error[mine])
+    return Band(tuple(time), tuple(torque), tuple(errors))
+
+
+def _first_column(stack: Stack, term: Effect, context: Context) -> Array:
+    """Return the regressor of an effect at the middle one of its trial parameters."""
+    shapes = list(term.shapes(context))
+    columns = stack.columns(term, shapes[len(shapes) // 2]) if shapes else {}
+    return stack.whitened(columns)[:, 0] if columns else np.zeros(len(stack.residual))
+
+
+def least_squares_left(before: Evidence, added: Evidence) -> float:
+    """Return the increase of a model's sum of squares by further recordings, after a new fit."""
+    step = _solved(before.normal + added.normal, added.score)
+    return added.square - float(added.score @ step)
+
+
+def visibility(before: Evidence) -> Array:
+    """Return the squares of each effect that the nominal constants cannot explain, shape (e,)."""
+    own, along = before.shown[:, 0], before.shown[:, 1:]
+    return np.maximum(own - np.sum(along.T * _solved(before.normal, along.T), axis=0), 0.0)
+
+
+def information(before: Evidence, added: Evidence) -> float:
+    """Return the gain of information on the constants of a model, in nats (D-optimality)."""
+    scale = np.sqrt(np.diag(before.normal))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    logs = [
+        np.linalg.slogdet(m / np.outer(scale, scale) + 1e-9 * np.eye(len(scale)))[1]
+        for m in (before.normal, before.normal + added.normal)
+    ]
+    return 0.5 * float(logs[1] - logs[0])
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+    turned = right / (scale if right.ndim == 1 else scale[:, None])
+    found = np.linalg.solve(scaled, turned)
+    return np.asarray(found / (scale if right.ndim == 1 else scale[:, None]))
+
+
+Pair = tuple[int, int]
+"""Truth and model, by their places among the hypotheses."""
+
+
+def separations(before: Sequence[Evidence], added: Mapping[Pair, Evidence]) -> dict[Pair, float]:
+    """Return the expected preference of each pair of hypotheses, standard errors, whichever of the
+    two is true.
+
+    Args:
+        before: What the recordings so far say about each hypothesis.
+        added: What the experiment, simulated under the truth, says about the model.
+    """
+    left = {pair: least_squares_left(before[pair[1]], e) for pair, e in added.items()}
+    truths = sorted({truth for truth, _ in added})
+    return {
+        (a, b): 0.5 * math.sqrt(max(0.0, min(left[a, b] - left[a, a], left[b, a] - left[b, b])))
+        for a, b in combinations(truths, 2)
+    }
+
+
+def error_bound(odds: Sequence[float], apart: Mapping[Pair, float]) -> float:
+    """Return a bound of the probability that the most likely hypothesis is wrong after an
+    experiment that separates each pair by so many standard errors.
+    """
+    return sum(math.sqrt(odds[a] * odds[b]) * math.exp(-0.5 * z**2) for (a, b), z in apart.items())

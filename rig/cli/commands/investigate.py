@@ -1,0 +1,333 @@
+"""``rig investigate`` and ``rig design``: the program chooses, runs and judges the next
+experiment, or only proposes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rig.cli import options as shared
+
+if TYPE_CHECKING:
+    from rig.config.bench import Bench
+    from rig.config.configuration import Document
+    from rig.investigate.confirmation import Confirmation
+    from rig.investigate.investigation import Judgement, State
+    from rig.terminal.output import ShareBar
+
+FIRST = "figure10"
+"""Sequence of the first run if neither a sequence nor a run is given."""
+
+
+@click.command("investigate")
+@click.argument("sources", metavar="[SEQUENCE | RUN...]", nargs=-1)
+@click.option(
+    "--bench",
+    default="practical",
+    show_default=True,
+    help="Bench file, or the name of a packaged bench.",
+)
+@click.option(
+    "--budget",
+    "budget_min",
+    metavar="MINUTES",
+    type=shared.Number(min=0, min_open=True),
+    help="Most minutes of the bench, prompts and weight changes included.",
+)
+@click.option(
+    "--question",
+    metavar='"A, B"',
+    help="Names of effects; only these are weighed against each other, and against nothing.",
+)
+@click.option(
+    "--confirm",
+    "result",
+    metavar="RESULT",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Choose no experiment: only predict the confirming one with the model of this result of "
+    "`rig diagnose` or `rig investigate`, and run it.",
+)
+@shared.out_folder("Folder of the investigation. [default: ./investigation]")
+@shared.yes
+@click.option("--resume", is_flag=True, help="Go on with the investigation in the folder --out.")
+@shared.seed()
+@shared.operator_name
+@shared.result_file
+def investigate(
+    sources: tuple[str, ...],
+    bench: str,
+    budget_min: float | None,
+    question: str | None,
+    result: Path | None,
+    out: Path | None,
+    yes: bool,
+    resume: bool,
+    seed: int,
+    operator_name: str | None,
+    json_file: Path | None,
+) -> int:
+    """Find the missing physics of a bench by experiments that the program chooses.
+
+    The first run is SEQUENCE, a file or packaged name, or the RUNs that exist. After each run all
+    recordings are diagnosed together, the hypotheses are weighed, and the experiment that
+    separates them best per minute of the bench is simulated under each hypothesis, within all
+    limits, and run with the prompts and the safety of `rig run`. The last experiment is predicted
+    before it runs, and compared after.
+
+    Ends as named, nothing missing, outside the catalogue, or ambiguous with what this bench lacks.
+    After Ctrl-C or a crash, the same command with --resume continues.
+
+    \b
+    Example:
+      rig investigate figure10 --bench practical --yes --out investigation
+      rig investigate runs/demo runs/slow --bench bench.yaml --budget 30
+      rig investigate --resume --out investigation --bench practical --yes
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.common.errors import InputError
+    from rig.common.locks import hold_folder
+    from rig.common.places import require_folder
+    from rig.common.provenance import sha256_file
+    from rig.config.bench import load_bench
+    from rig.investigate.investigation import STATE_FILE, Investigation, State, load_state
+    from rig.wiring.devices import bench_line, until_the_end
+
+    folder = out or Path("investigation")
+    require_folder(folder, "--out")
+    bench_file = load_bench(bench)
+    click.echo(bench_line(bench_file))
+    if resume:
+        state = load_state(folder)
+        if sha256_file(bench_file.path) != state.bench["sha256"]:
+            raise InputError(
+                f"{bench_file.path}: changed since the investigation began; resume it with the "
+                "same bench file, or begin a new investigation with its runs"
+            )
+    else:
+        if (folder / STATE_FILE).exists():
+            raise InputError(f"{folder}: holds an investigation; give --resume, or another --out")
+        names = _effects(question)
+        digest = {"file": str(bench_file.path), "sha256": sha256_file(bench_file.path)}
+        state = State(digest, seed, budget_min, names)
+        _take_sources(state, sources, result)
+    folder.mkdir(parents=True, exist_ok=True)
+    until_the_end(hold_folder(folder, "rig investigate"))
+    with _Progress() as progress:
+        runner = _runner(bench_file, state, yes, operator_name, progress)
+        investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
+        judged, confirmation = investigation.run()
+    return _report(folder, state, judged, confirmation, json_file)
+
+
+class _Progress:
+    """Progress bar that leaves the terminal to the lines of the investigation and of its runs."""
+
+    def __init__(self) -> None:
+        self._bar: ShareBar | None = None
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __call__(self, what: str, share: float) -> None:
+        from rig.terminal.output import ShareBar
+
+        self._bar = self._bar or ShareBar()
+        self._bar(what, share)
+
+    def say(self, words: str) -> None:
+        """Show a line."""
+        self.close()
+        click.echo(words)
+
+    def close(self) -> None:
+        """Remove the bar until the next step."""
+        if self._bar is not None:
+            self._bar.__exit__()
+            self._bar = None
+
+
+def _effects(question: str | None) -> list[str]:
+    """Return the effects of a question, or an InputError that names the nearest ones."""
+    from identification.effects import EFFECTS
+    from rig.common.errors import InputError
+    from rig.config.configuration import nearest
+
+    names = [name.strip() for name in (question or "").split(",") if name.strip()]
+    unknown = [
+        f"--question: {n}: no effect; {nearest(n, list(EFFECTS))}"
+        for n in names
+        if n not in EFFECTS
+    ]
+    if unknown:
+        raise InputError(unknown)
+    return names
+
+
+def _take_sources(state: State, sources: tuple[str, ...], result: Path | None) -> None:
+    """Note the first sequence, or the runs that exist, in the state."""
+    from rig.common.errors import InputError
+    from rig.common.places import is_file
+    from rig.config.sequence import load_sequence
+    from rig.investigate.investigation import given_run
+    from rig.results.diagnose.model_file import read_result
+    from rig.runs.run_record import RUN_FILE
+
+    if result is not None:
+        record = read_result(result)
+        read = {Path(entry["file"]).parent for entry in record["inputs"]}
+        sources = sources or tuple(str(f) for f in sorted(read) if is_file(f / RUN_FILE))
+        if not sources:
+            raise InputError(f"{result}: the runs of this result are not there; give them as RUN")
+        state.confirm = str(result.absolute())
+        state.ended = "asked for the confirming experiment only"
+    runs = [Path(s) for s in sources if is_file(Path(s) / RUN_FILE)]
+    if runs and len(runs) < len(sources):
+        others = ", ".join(s for s in sources if Path(s) not in runs)
+        raise InputError(f"{others}: not a run folder; give one SEQUENCE, or RUN folders")
+    if len(sources) > 1 and not runs:
+        raise InputError(f"{sources[1]}: give one SEQUENCE, or RUN folders")
+    state.experiments += [given_run(folder) for folder in runs]
+    if not runs:
+        state.first = sources[0] if sources else FIRST
+        load_sequence(state.first)
+
+
+def _runner(
+    bench: Document[Bench], state: State, yes: bool, operator: str | None, progress: _Progress
+) -> Callable[[Path, Path], None]:
+    """Return the function that runs one experiment, by the command `rig run`."""
+    from drivers.errors import DeviceError
+    from rig.cli.commands.run import run
+    from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
+
+    def one(sequence: Path, folder: Path) -> None:
+        progress.close()
+        if not bench.value.simulated and not yes:
+            click.confirm(f"Run {sequence.name} on {bench.value.name}?", default=True, abort=True)
+        stated = {option.name: None for option in run.params}
+        flags = {o.name: False for o in run.params if getattr(o, "is_flag", False)}
+        own = {"sequence": str(sequence), "bench": str(bench.path), "out": folder, "yes": yes}
+        # Each experiment of a simulated bench gets its own noise.
+        seed = state.seed + len(state.experiments)
+        assert run.callback is not None
+        status = run.callback(
+            **stated | flags | own | {"seed": seed, "operator_name": operator, "first_pass": None}
+        )
+        if status == STOPPED:
+            raise KeyboardInterrupt
+        if status not in (DONE, BAD_VERDICT):
+            raise DeviceError(f"{folder}: the run ended with status {status}; see its page")
+
+    return one
+
+
+def _report(
+    folder: Path,
+    state: State,
+    judged: Judgement,
+    confirmation: Confirmation | None,
+    json_file: Path | None,
+) -> int:
+    """Write record, page and model files, and print the summary."""
+    from rig.cli.entry import DONE
+    from rig.investigate import page
+    from rig.results.diagnose.diagnose import RESULT_FILE
+    from rig.results.diagnose.exports import exports
+    from rig.results.document import text, write_page, write_record, write_texts
+    from rig.results.measured import facts_of
+
+    outcome = judged.outcome
+    write_record(outcome.record(), folder / RESULT_FILE, None)
+    write_record(page.investigation_record(state, judged), folder / page.RESULT_FILE, json_file)
+    source = folder / state.experiments[0].run
+    beside = exports(source, outcome, outcome.record())
+    write_texts({file.name: file.text for file in beside.files}, folder)
+    files = tuple((file.name, file.use) for file in beside.files)
+    document = page.investigation_document(
+        folder.name, state, judged, confirmation, files, facts_of(source)
+    )
+    write_page(document, folder / page.PAGE_FILE)
+    click.echo(text(document))
+    for file in beside.files:
+        click.echo(f"{folder / file.name}: {file.use}")
+    click.echo(f"page: {folder / page.PAGE_FILE}")
+    return DONE
+
+
+@click.command("design")
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--bench", required=True, help="Bench file, or the name of a packaged bench.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("next.yaml"),
+    show_default=True,
+    help="Sequence file of the experiment.",
+)
+@click.option("--question", metavar='"A, B"', help="Names of the only effects that are weighed.")
+@shared.seed()
+@shared.result_file
+def design(
+    runs: tuple[Path, ...],
+    bench: str,
+    out: Path,
+    question: str | None,
+    seed: int,
+    json_file: Path | None,
+) -> int:
+    """Propose the next experiment for the RUNs of a bench, as a sequence file with its reason.
+
+    Runs nothing. The file can be run with `rig run`, and its run be given to `rig investigate` or
+    again to `rig design` beside the others. Status 1 if no experiment of this bench helps.
+
+    \b
+    Example:
+      rig design runs/demo --bench practical --out next.yaml
+      rig run next.yaml --yes --out runs/next
+      rig design runs/demo runs/next --bench practical
+    """
+    from rig.cli.entry import BAD_VERDICT, DONE
+    from rig.common.places import require_file, write_asked, write_text
+    from rig.common.provenance import heading
+    from rig.config.bench import load_bench
+    from rig.config.sequence import plain_sequence, sequence_text
+    from rig.investigate.experiments import SimulatedBench
+    from rig.investigate.investigation import judge, next_experiment
+    from rig.terminal.output import ShareBar
+
+    require_file(out, "--out")
+    bench_file = load_bench(bench)
+    with ShareBar() as bar:
+        judged = judge(runs, seed, _effects(question), bar)
+        found = next_experiment(SimulatedBench.of(bench_file), judged, seed, len(runs) + 1, bar)
+    record = {
+        **heading("loadrig.design/1"),
+        "seed": seed,
+        "verdict": judged.diagnosis.verdict.value,
+        "odds": judged.weighed.odds,
+        "experiment": None,
+    }
+    if found is None:
+        click.echo("no experiment within the limits and weights of this bench separates the rest")
+    else:
+        value = found.sequence.value
+        record["experiment"] = {
+            "sequence": plain_sequence(value),
+            "purpose": found.purpose,
+            "reason": found.reason,
+            "seconds": found.seconds,
+            "weight_changes": found.weight_changes,
+            "apart": [{"names": list(pair), "sigma": z} for pair, z in found.apart.items()],
+            "refused": dict(found.refused),
+        }
+        write_text(out, sequence_text(value, f"# {found.reason}\n"))
+        click.echo(f"{out}: {found.reason}")
+    write_asked(json_file, record)
+    return BAD_VERDICT if found is None else DONE

@@ -1,0 +1,278 @@
+"""Chooses the next experiment: the parts, simulated under every hypothesis, whose sum lowers the
+bound of the error probability most per minute of the bench.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.mock.plant.parts.constants import Machine
+from identification.design.separation import (
+    Evidence,
+    Hypothesis,
+    Pair,
+    Weighed,
+    error_bound,
+    evidence,
+    experiment_views,
+    information,
+    present,
+    separations,
+    visibility,
+)
+from identification.effects import EFFECTS, MOTION
+from identification.effects.effect import Separation, title
+from identification.recording import RecordingError
+from rig.common.errors import InputError
+from rig.config.configuration import Document
+from rig.config.sequence import Sequence as Stages
+from rig.investigate.experiments import (
+    Part,
+    SimulatedBench,
+    as_document,
+    bench_seconds,
+    family,
+    weight_changes,
+)
+
+MOST_HYPOTHESES = 4
+"""Greatest number of hypotheses that are simulated, the most likely ones."""
+REJECTED = 3.0
+"""Preference, in standard errors, from which a hypothesis is separated: it is wrong by chance in
+one of 700 comparisons.
+"""
+WORTH_WHILE = 1.0
+"""Least separation of an experiment, in standard errors, of one pair at least."""
+TARGET_BOUND = 1e-3
+"""Bound of the error probability below which a further decrease has no worth."""
+OF_CONSTANTS = 0.01
+"""Worth of a nat of information on the constants, over that of a factor e of the error bound."""
+MOST_PARTS = 4
+MOST_VISIBLE, TINY = math.log(100.0), 1e-30
+"""Greatest worth of the visibility of one effect that the recordings so far hardly show; least
+visibility.
+"""
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """The next experiment.
+
+    Attributes:
+        purpose: ``separate`` hypotheses, or ``cover`` what no recording has shown.
+        sequence: The sequence.
+        reason: One sentence with numbers.
+        seconds: Time of the bench and its operator, s.
+        weight_changes: How often a weight is hung or taken off.
+        apart: Pair of hypotheses to the expected preference, standard errors.
+        refused: Part to the limit that a hypothesis would come too near to.
+    """
+
+    purpose: str
+    sequence: Document[Stages]
+    reason: str
+    seconds: float
+    weight_changes: int
+    apart: Mapping[tuple[str, str], float]
+    refused: Mapping[str, str]
+
+
+class _Judged(NamedTuple):
+    """A part that no hypothesis brings too near to a limit, with what it would show."""
+
+    part: Part
+    evidence: Mapping[Pair, Evidence]
+
+
+@dataclass(frozen=True)
+class _Design:
+    """Simulated hypotheses, and the parts to choose from."""
+
+    bench: SimulatedBench
+    hypotheses: Sequence[Hypothesis]
+    cover: bool
+    before: Sequence[Evidence]
+    judged: Sequence[_Judged]
+    refused: Mapping[str, str]
+
+    def added(self, chosen: Sequence[_Judged]) -> dict[Pair, Evidence]:
+        """Return what several parts show together."""
+        return {
+            pair: reduce(add, (one.evidence[pair] for one in chosen)) for pair in chosen[0].evidence
+        }
+
+    def shown(self, chosen: Sequence[_Judged]) -> np.ndarray:
+        """Return the visibility of each effect with an experiment, over that without it."""
+        after = visibility(self.before[0] + self.added(chosen)[0, 0])
+        return np.asarray(np.maximum(after, TINY) / np.maximum(visibility(self.before[0]), TINY))
+
+    def worth(self, chosen: Sequence[_Judged]) -> float:
+        """Return the worth of an experiment, in factors e of the error bound."""
+        added = self.added(chosen)
+        constants = OF_CONSTANTS * information(self.before[0], added[0, 0])
+        if self.cover:
+            gains = np.clip(np.log(self.shown(chosen)), 0.0, MOST_VISIBLE)
+            return float(np.sum(gains)) + constants
+        odds = [h.weight for h in self.hypotheses]
+        apart = separations(self.before, added)
+        now, then = (
+            max(error_bound(odds, z) / sum(odds), TARGET_BOUND)
+            for z in (dict.fromkeys(apart, 0.0), apart)
+        )
+        return math.log(now / then) + constants
+
+    def seconds(self, chosen: Sequence[_Judged]) -> float:
+        """Return the time of the bench that an experiment takes, s."""
+        return bench_seconds(self.bench.plan(as_document("x", [c.part for c in chosen]), ()))
+
+
+def propose(
+    bench: SimulatedBench,
+    weighed: Weighed,
+    bandwidth_Hz: float,
+    rng: np.random.Generator,
+    progress: Progress,
+    name: str,
+    most_s: float = math.inf,
+    avoided: Collection[str] = (),
+    cover: bool = False,
+) -> Proposal | None:
+    """Return the next experiment, or None if no experiment separates the hypotheses enough.
+
+    Args:
+        bench: The bench.
+        weighed: Hypotheses of the recordings so far.
+        bandwidth_Hz: Bandwidth of the diagnosis.
+        rng: Random generator of the parts.
+        progress: Called with the present step and the share that is done.
+        name: Name of the sequence.
+        most_s: Longest time that the experiment may take, s.
+        avoided: Names of stages that have tripped.
+        cover: Whether to show what no recording has shown, instead of separating hypotheses.
+    """
+    design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
+    if len(design.hypotheses) < 2 - cover:
+        return None
+    chosen = _best(design, most_s, progress)
+    if not chosen:
+        return None
+    apart = {} if cover else separations(design.before, design.added(chosen))
+    if not cover and max(apart.values()) < WORTH_WHILE:
+        return None
+    names = [h.name for h in design.hypotheses]
+    document = as_document(name, [c.part for c in chosen])
+    seconds, changes = design.seconds(chosen), weight_changes(document.value.stages)
+    motion = sum(s.repeats * s.duration_s for s in document.value.stages)
+    weights = "no weight" if not changes else f"{changes} weight{'s' if changes > 1 else ''}"
+    cost = f"{motion:.0f} s, {weights}, {seconds / 60.0:.1f} min of the bench"
+    return Proposal(
+        "cover" if cover else "separate",
+        document,
+        f"{_purpose(design, chosen, apart)}; {cost}",
+        seconds,
+        changes,
+        {(names[a], names[b]): z for (a, b), z in apart.items()},
+        design.refused,
+    )
+
+
+def _simulated(
+    bench: SimulatedBench,
+    weighed: Weighed,
+    bandwidth_Hz: float,
+    rng: np.random.Generator,
+    progress: Progress,
+    avoided: Collection[str],
+    cover: bool,
+) -> _Design:
+    """Simulate every part under every hypothesis that is not rejected."""
+    hypotheses: list[Hypothesis] = []
+    machines: list[Machine] = []
+    for h in weighed.hypotheses:
+        if h.preference < REJECTED and len(hypotheses) < MOST_HYPOTHESES:
+            with suppress(InputError):  # an effect that the simulated machine cannot have
+                machines.append(bench.machine(h.model))
+                hypotheses.append(h)
+    terms = MOTION if cover else ()
+    judged: list[_Judged] = []
+    refused: dict[str, str] = {}
+    drifts = any(EFFECTS[n].separation is Separation.SESSION for h in hypotheses for n in h.names)
+    parts = [
+        part
+        for part in family(bench.document.value, rng, drifts)
+        if not {stage.name for stage in part.stages} & {*avoided}
+    ]
+    models = [h.model for h in hypotheses]
+    for k, part in enumerate(parts if hypotheses else ()):
+        progress("simulating experiments", k / len(parts))
+        try:
+            plan = bench.plan(as_document("x", [part]), models)
+            runs = [bench.simulate(plan, machine) for machine in machines]
+            near = [
+                f"{h.name}: {r.problem}" for h, r in zip(hypotheses, runs, strict=True) if r.problem
+            ]
+            if near:
+                refused[part.name] = near[0]
+                continue
+            found: dict[Pair, Evidence] = {}
+            for truth, run in enumerate(runs[:1] if cover else runs):
+                here = experiment_views(run.recordings, hypotheses[0].joint, bandwidth_Hz)
+                for model, h in enumerate(hypotheses[:1] if cover else hypotheses):
+                    found[truth, model] = evidence(h.joint, here, terms)
+            judged.append(_Judged(part, found))
+        except (InputError, RecordingError) as error:
+            refused[part.name] = str(error)
+    before = [present(h.joint, terms) for h in hypotheses]
+    return _Design(bench, hypotheses, cover, before, judged, refused)
+
+
+def _best(design: _Design, most_s: float, progress: Progress) -> list[_Judged]:
+    """Return the parts with the greatest worth per minute: the best part, and further parts while
+    they increase it.
+    """
+    chosen: list[_Judged] = []
+    rate = 0.0
+    for count in range(MOST_PARTS):
+        progress("composing the experiment", count / MOST_PARTS)
+        used = {one.part.name for one in chosen}
+        trials = [[*chosen, one] for one in design.judged if one.part.name not in used]
+        rated = [
+            (design.worth(trial) / seconds, k)
+            for k, trial in enumerate(trials)
+            if (seconds := design.seconds(trial)) <= most_s
+        ]
+        if not rated or max(rated)[0] <= rate:
+            break
+        rate, best = max(rated)
+        chosen = trials[best]
+    return chosen
+
+
+def _purpose(design: _Design, chosen: Sequence[_Judged], apart: Mapping[Pair, float]) -> str:
+    """Return what an experiment is for, with numbers."""
+    if design.cover:
+        order = np.argsort(-design.shown(chosen), kind="stable")[:3]
+        least = ", ".join(title(MOTION[k].name) for k in order)
+        return f"shows what the recordings so far show least: {least}"
+    rivals = design.hypotheses
+    against = [
+        f"from {spoken(rivals[b].name)} by {z:.1f} sigma (the recordings so far: "
+        f"{rivals[b].preference:.1f})"
+        for (a, b), z in apart.items()
+        if a == 0
+    ]
+    return f"separates {spoken(rivals[0].name)} {', '.join(against)}"
+
+
+def spoken(name: str) -> str:
+    """Return the name of a hypothesis as words."""
+    return " with ".join(title(n) if n in EFFECTS else n for n in name.split(" + "))

@@ -1,0 +1,188 @@
+"""The confirming experiment: predicted by the corrected model before it runs, compared after, and
+never fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from identification.design.separation import Weighed, experiment_views, predicted_band
+from identification.numerics.arrays import Array
+from identification.recording import Dataset, RecordingError
+from identification.views.view import views
+from rig.common.errors import InputError
+from rig.common.provenance import plain
+from rig.config.sequence import Sequence as Stages
+from rig.investigate.choice import Progress
+from rig.investigate.experiments import (
+    Part,
+    SimulatedBench,
+    as_document,
+    bench_seconds,
+    family,
+    in_order,
+    weight_changes,
+)
+from rig.results.diagnose.diagnose import Outcome
+from rig.results.diagnose.model_file import model_of, read_result
+
+BAND = 0.90
+"""Share of the samples that the band of a prediction is made to hold."""
+MOTIONS = ("tones", "medium", "ends", "wide-fast")
+"""Motions of the confirming experiment, the first one possible, without load and with the heaviest
+weight; several tones cover speeds and angles that the fits weigh differently.
+"""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The torque of an experiment before it runs.
+
+    Attributes:
+        sequence: The experiment.
+        sealed: Content of the sealed file: ``bandwidth_Hz`` of the torque, ``band``, ``floor_rms``
+            (noise floor of the torque in the recordings so far, N m), and for each of the
+            ``recordings`` times in steady motion since the start of the excitation, ``time_s``,
+            ``torque_N_m`` and ``half_width_N_m`` of the band.
+        seconds: Time of the bench and its operator, s.
+        weight_changes: How often a weight is hung or taken off.
+    """
+
+    sequence: Stages
+    sealed: Mapping[str, Any]
+    seconds: float
+    weight_changes: int
+
+    @property
+    def reason(self) -> str:
+        """Why the experiment is run."""
+        samples = sum(len(r["time_s"]) for r in self.sealed["recordings"])
+        return (
+            f"confirms the model: {samples} samples of torque are predicted with a {BAND:.0%} band "
+            f"before it runs; {self.seconds / 60.0:.1f} min of the bench"
+        )
+
+
+@dataclass(frozen=True)
+class Confirmation:
+    """What came of a prediction.
+
+    Attributes:
+        band_held: Share of the samples inside the band.
+        error_rms: Rms error of the prediction, N m.
+        floor_rms: Noise floor, N m.
+        samples: Number of samples.
+        trace: Time, s, prediction, half width and measurement, N m, of the first recording, each of
+            shape (n,).
+    """
+
+    band_held: float
+    error_rms: float
+    floor_rms: float
+    samples: int
+    trace: tuple[Array, Array, Array, Array]
+
+    def record(self) -> dict[str, Any]:
+        """Return the confirmation as JSON values."""
+        return dict(plain(self, "trace"))
+
+
+def predict(
+    bench: SimulatedBench,
+    outcome: Outcome,
+    weighed: Weighed,
+    rng: np.random.Generator,
+    progress: Progress,
+    result: str = "",
+) -> Prediction | None:
+    """Return the prediction of a confirming experiment, or None if the model cannot be simulated
+    within the limits of the bench.
+
+    Args:
+        bench: The bench.
+        outcome: Diagnosis whose model predicts, unless ``result`` is given.
+        weighed: Hypotheses, of which the first one states the errors of the parameters.
+        rng: Random generator of the parts.
+        progress: Called with the present step.
+        result: Path of another result, whose model predicts; empty for none.
+    """
+    recordings = [r.name for r in outcome.dataset.recordings]
+    joint, diagnosis = weighed.hypotheses[0].joint, outcome.diagnosis
+    torque = next((f for f in diagnosis.fits if f.equation == "torque"), diagnosis.fit)
+    parts = family(bench.document.value, rng)
+    heaviest = max(p.weight_kg for p in parts)
+    try:
+        record = read_result(Path(result)) if result else outcome.record()
+        model = model_of(record, recordings)
+        machine = bench.machine(model)
+    except InputError:
+        return None
+    for motion in MOTIONS:
+        progress("predicting the confirming experiment", 0.0)
+        chosen = in_order(
+            [p for p in parts if _motion(p) == motion and p.weight_kg in (0.0, heaviest)]
+        )
+        document = as_document("confirm", chosen)
+        try:
+            plan = bench.plan(document, [model])
+            simulated = bench.simulate(plan, machine)
+            if simulated.problem:
+                continue
+            here = experiment_views(simulated.recordings, joint, torque.bandwidth_Hz)
+            band = predicted_band(joint, here)
+        except (InputError, RecordingError):
+            continue
+        wide = float(stats.norm.ppf(0.5 + 0.5 * BAND))
+        series = zip(simulated.recordings, *band, strict=True)
+        sealed = {
+            "bandwidth_Hz": torque.bandwidth_Hz,
+            "band": BAND,
+            "floor_rms": torque.noise_floor_rms,
+            "recordings": [
+                {
+                    "name": recording.name,
+                    "time_s": plain(time),
+                    "torque_N_m": plain(predicted),
+                    "half_width_N_m": plain(wide * error),
+                }
+                for recording, time, predicted, error in series
+            ],
+        }
+        changes = weight_changes(plan.stages)
+        return Prediction(document.value, sealed, bench_seconds(plan), changes)
+    return None
+
+
+def _motion(part: Part) -> str:
+    return part.name.rpartition("-")[0]
+
+
+def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
+    """Compare a prediction, the content of its sealed file, with the recordings of its experiment,
+    where both move steadily.
+    """
+    traces = []
+    found = views(measured.recordings, sealed["bandwidth_Hz"])
+    for view, predicted in zip(found, sealed["recordings"], strict=True):
+        time, torque, half = (
+            np.array(predicted[key]) for key in ("time_s", "torque_N_m", "half_width_N_m")
+        )
+        since = view.kept_times - view.time[0]
+        moving = np.interp(time, since, view.moving.astype(np.float64)) > 0.999
+        seen = np.interp(time, since, view.low_pass(view.torque))
+        traces.append((time[moving], torque[moving], half[moving], seen[moving]))
+    torque, half, seen = (np.concatenate([t[k] for t in traces]) for k in (1, 2, 3))
+    error = seen - torque
+    return Confirmation(
+        float(np.mean(np.abs(error) <= half)),
+        float(np.sqrt(np.mean(error**2))),
+        sealed["floor_rms"],
+        len(error),
+        traces[0],
+    )

@@ -1,0 +1,483 @@
+"""The loop: diagnoses all recordings together, weighs the hypotheses, chooses and runs the next
+experiment, until a stop rule holds; then one more experiment, predicted before it runs.
+
+The state is one file, replaced after each step. An experiment is in the file before it runs, so
+that a program that was killed finds it there, with whatever the run folder holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from identification.design.separation import Hypothesis, Weighed, weigh
+from identification.diagnosis.result import Diagnosis, Verdict
+from identification.diagnosis.search import Search
+from identification.effects import EFFECTS, MOTION
+from identification.recording import Dataset, Recording
+from rig.common.errors import InputError
+from rig.common.places import is_file, read_json, write_json, write_text
+from rig.common.provenance import sha256_file
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+from rig.config.sequence import Sequence as Stages
+from rig.config.sequence import load_sequence, sequence_text
+from rig.investigate.choice import REJECTED, Progress, Proposal, propose, spoken
+from rig.investigate.confirmation import Confirmation, compare, predict
+from rig.investigate.experiments import SimulatedBench, bench_seconds, weight_changes
+from rig.planning.plan import make_plan
+from rig.results.diagnose.diagnose import Outcome, diagnose_dataset
+from rig.runs.run import load_run
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RUN_FILE, Ending
+
+STATE_FILE = "investigation.json"
+STATE_SCHEMA = "loadrig.investigation/1"
+STOP_ODDS = 0.95
+"""Probability of the first hypothesis from which it is named: a wrong name is then to be expected
+in at most one of twenty, and in fewer if the odds are cautious.
+"""
+COVERING = 2
+"""Number of experiments that show what no recording has shown, before the verdict *nothing missing*
+or *outside the catalogue*.
+"""
+MOST_EXPERIMENTS = 12
+"""Greatest number of experiments of an investigation without a budget."""
+PREDICTION_FILE = "prediction.json"
+LEAST_S = 60.0
+"""Rest of the budget below which no experiment is designed, s."""
+
+
+@dataclass
+class Experiment:
+    """One experiment.
+
+    Attributes:
+        run: Run folder, relative to the folder of the investigation if it is inside.
+        sequence: Sequence file, as `run`; empty for a run that existed.
+        reason: Why it is run, one sentence with numbers.
+        seconds: Time of the bench and its operator, s.
+        weight_changes: How often a weight was hung or taken off.
+        state: ``planned`` before it runs, then the state of the run.
+        purpose: ``given``, ``first``, ``separate``, ``cover`` or ``confirm``.
+        odds: Probability of each hypothesis after the experiment.
+        expected: Pair of hypotheses to the expected preference, standard errors.
+        verdict: Verdict of the diagnosis after the experiment.
+    """
+
+    run: str
+    sequence: str
+    reason: str
+    seconds: float
+    weight_changes: int
+    state: str = "planned"
+    purpose: str = "separate"
+    odds: dict[str, float] = field(default_factory=dict)
+    expected: dict[str, float] = field(default_factory=dict)
+    verdict: str = ""
+
+
+@dataclass
+class State:
+    """What an investigation is resumed from.
+
+    Attributes:
+        bench: Bench file, and its SHA-256.
+        seed: Seed of the investigation.
+        budget_min: Budget in minutes of the bench, or None.
+        question: Names of the only hypotheses, or empty.
+        first: Sequence of the first run, or empty.
+        confirm: Result whose model is confirmed, or empty for that of the investigation.
+        experiments: All experiments in order.
+        ended: Why no further experiment is run; empty while the investigation goes on.
+        confirmation: Prediction of the confirming experiment and what came of it.
+        cannot_separate: Pairs that no experiment of the bench separates, and what would.
+    """
+
+    bench: dict[str, str]
+    seed: int
+    budget_min: float | None = None
+    question: list[str] = field(default_factory=list)
+    first: str = ""
+    confirm: str = ""
+    experiments: list[Experiment] = field(default_factory=list)
+    ended: str = ""
+    confirmation: dict[str, Any] = field(default_factory=dict)
+    cannot_separate: list[dict[str, Any]] = field(default_factory=list)
+    schema: str = STATE_SCHEMA
+
+    @property
+    def bench_seconds(self) -> float:
+        """Time of the bench that all experiments have taken, s."""
+        return sum(e.seconds for e in self.experiments)
+
+    @property
+    def left_s(self) -> float:
+        """Rest of the budget, s."""
+        budget = math.inf if self.budget_min is None else 60.0 * self.budget_min
+        return budget - self.bench_seconds
+
+    def save(self, folder: Path) -> None:
+        """Replace the state file as a whole."""
+        write_json(folder / STATE_FILE, asdict(self))
+
+
+def load_state(folder: Path) -> State:
+    """Read the state of an investigation.
+
+    Raises:
+        InputError: The file is missing, or is not the state of an investigation.
+    """
+    path = folder / STATE_FILE
+    raw = read_json(path, "give --out the folder of the investigation to resume")
+    try:
+        if raw["schema"] != STATE_SCHEMA:
+            raise ValueError(f"schema {raw['schema']!r}, this program reads {STATE_SCHEMA!r}")
+        experiments = [Experiment(**e) for e in raw.pop("experiments")]
+        return State(**raw, experiments=experiments)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: not the state of an investigation: {error}") from error
+
+
+class Judgement(NamedTuple):
+    """Diagnosis of all recordings, its search, and the weighed hypotheses."""
+
+    outcome: Outcome
+    found: Search
+    weighed: Weighed
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """The diagnosis."""
+        return self.outcome.diagnosis
+
+
+def read_runs(folders: Sequence[Path]) -> Dataset:
+    """Return the recordings of several runs as one dataset; the recorded part of a run that ended
+    early is used.
+
+    On a bench that keeps its temperature between runs, all time stamps are of one clock.
+
+    Raises:
+        InputError: No run has a recording.
+    """
+    recordings: list[Recording] = []
+    problems: list[str] = []
+    first: datetime | None = None
+    for folder in folders:
+        try:
+            record, dataset = read_record(folder), load_run(folder, partial=True)
+        except InputError as error:
+            problems += error.problems
+            continue
+        created = datetime.fromisoformat(record.created)
+        first = first or created
+        late_s = (created - first).total_seconds()
+        if record.simulated and not record.realtime:
+            late_s = 0.0  # each simulated run starts cold
+        recordings += [
+            dataclasses.replace(
+                r,
+                name=f"{folder.name}/{r.name}",
+                channels={**r.channels, "time": r.channels["time"] + late_s},
+                role="fit",
+            )
+            for r in dataset.recordings
+        ]
+    if not recordings:
+        raise InputError(problems or ["no run to investigate"])
+    return Dataset(tuple(recordings))
+
+
+def judge(
+    folders: Sequence[Path],
+    seed: int,
+    question: Sequence[str],
+    progress: Progress,
+    refine: bool = False,
+) -> Judgement:
+    """Diagnose all runs together, and weigh the hypotheses.
+
+    Raises:
+        InputError: The recordings cannot be diagnosed.
+    """
+    searches: list[Search] = []
+    outcome = diagnose_dataset(
+        read_runs(folders),
+        folders[0],
+        seed,
+        progress=progress,
+        refine=refine,
+        searched=searches.append,
+    )
+    if not searches:
+        raise InputError(f"{folders[0]}: an investigation needs recordings of the drive's torque")
+    progress("weighing hypotheses", 0.0)
+    found = searches[0]
+    flexible = any(np.any(v.twist) for v in found.baseline.views)
+    terms = [t.on_the_joint() for t in MOTION] if flexible else MOTION
+    return Judgement(outcome, found, weigh(found, outcome.diagnosis.verdict, terms, question))
+
+
+CarryOut = Callable[[Path, Path], None]
+"""Function that runs a sequence file into a new run folder, with all checks, prompts and safety of
+``rig run``. It returns after a run that was completed or tripped, and raises otherwise.
+"""
+
+
+class Investigation:
+    """An investigation in a folder.
+
+    Args:
+        bench: The bench.
+        folder: Folder of the investigation.
+        state: Its state, new or resumed.
+        carry_out: Runs one experiment.
+        say: Shows one line.
+        progress: Shows the present step.
+    """
+
+    def __init__(
+        self,
+        bench: Document[Bench],
+        folder: Path,
+        state: State,
+        carry_out: CarryOut,
+        say: Callable[[str], None],
+        progress: Progress,
+    ) -> None:
+        self._bench = SimulatedBench.of(bench)
+        self._folder, self.state = folder, state
+        self._carry_out, self._say, self._progress = carry_out, say, progress
+
+    def run(self) -> tuple[Judgement, Confirmation | None]:
+        """Run experiments until the stop rule holds, then the confirming one; return the diagnosis
+        of all other recordings, with refined constants, and what came of the prediction.
+
+        Raises:
+            InputError: The first run cannot be diagnosed.
+        """
+        self._settle_unfinished()
+        if self.state.first and all(e.state != "done" for e in self.state.experiments):
+            self._first()
+        judged = self._judge()
+        while not self.state.ended and (proposal := self._next(judged)) is not None:
+            self._experiment(proposal)
+            judged = self._judge()
+        self.state.save(self._folder)
+        final = judge(self._done(), self.state.seed, self.state.question, self._progress, True)
+        if not self._confirming() and self.state.left_s > 0.0:
+            self._confirm(final)
+        return final, self._compare()
+
+    def _confirming(self) -> list[Experiment]:
+        return [e for e in self.state.experiments if e.purpose == "confirm"]
+
+    def _done(self) -> list[Path]:
+        """Return the folders of the runs to diagnose, without the confirming one."""
+        return [
+            self._place(e.run)
+            for e in self.state.experiments
+            if e.state not in ("planned", "running") and e.purpose != "confirm"
+        ]
+
+    def _place(self, name: str) -> Path:
+        return self._folder / name  # an absolute name stays as it is
+
+    def _settle_unfinished(self) -> None:
+        """Take the state of experiments that were interrupted from their run folders.
+
+        An experiment that never began is planned again; an experiment that began counts, and its
+        recorded part is used: it is not run twice.
+        """
+        for e in list(self.state.experiments):
+            if e.state != "planned":
+                continue
+            if not is_file(self._place(e.run) / RUN_FILE):
+                self.state.experiments.remove(e)
+                self._say(f"{e.run}: was planned but did not begin; it is designed again")
+                continue
+            e.state = self._ended(self._place(e.run))
+            self._say(f"{e.run}: found as {e.state}; its recordings are used, it is not repeated")
+        self.state.save(self._folder)
+
+    @staticmethod
+    def _ended(folder: Path) -> str:
+        record = read_record(folder)
+        return Ending.CRASHED.value if record.state == "running" else record.state
+
+    def _first(self) -> None:
+        sequence = load_sequence(self.state.first)
+        plan = make_plan(sequence, self._bench.document)
+        changes = weight_changes(plan.stages)
+        e = _planned("the first run", bench_seconds(plan), changes, "first")
+        self._carry(e, sequence.value)
+
+    def _carry(self, e: Experiment, sequence: Stages) -> None:
+        """Write the sequence, note the experiment as planned, and run it."""
+        number = len(self.state.experiments) + 1
+        e.run = f"{number:02d}-{e.purpose}"
+        while (self._folder / e.run).exists():
+            e.run += "-again"
+        e.sequence = f"{e.run}.yaml"
+        path = self._folder / e.sequence
+        write_text(path, sequence_text(sequence, f"# {e.reason}\n"))
+        self.state.experiments.append(e)
+        self.state.save(self._folder)
+        try:
+            self._carry_out(path, self._folder / e.run)
+        finally:
+            if is_file(self._folder / e.run / RUN_FILE):
+                e.state = self._ended(self._folder / e.run)
+            else:
+                self.state.experiments.remove(e)
+            self.state.save(self._folder)
+
+    def _experiment(self, proposal: Proposal) -> None:
+        p = proposal
+        e = _planned(p.reason, p.seconds, p.weight_changes, p.purpose)
+        e.expected = {" | ".join(pair): z for pair, z in p.apart.items()}
+        self._say(p.reason)
+        self._carry(e, p.sequence.value)
+
+    def _judge(self) -> Judgement:
+        judged = judge(self._done(), self.state.seed, self.state.question, self._progress)
+        last = [e for e in self.state.experiments if e.purpose != "confirm"][-1]
+        last.odds, last.verdict = judged.weighed.odds, judged.diagnosis.verdict.value
+        self.state.save(self._folder)
+        shown = ", ".join(f"{spoken(n)} {p:.0%}" for n, p in [*last.odds.items()][:4])
+        self._say(f"{last.run}: {last.verdict.replace('_', ' ')}; odds: {shown}")
+        return judged
+
+    def _next(self, judged: Judgement) -> Proposal | None:
+        """Return the next experiment, or None, with the reason in the state."""
+        state, verdict = self.state, judged.diagnosis.verdict
+        designed = [e for e in state.experiments if e.purpose in ("separate", "cover")]
+        covered = sum(e.purpose == "cover" for e in designed)
+        rivals = open_rivals(judged.weighed)
+        certain = max(judged.weighed.odds.values()) >= STOP_ODDS
+        state.cannot_separate = []
+        found = None
+        if verdict is Verdict.NAMED and not rivals and certain and designed:
+            state.ended = f"the odds are at least {STOP_ODDS:.0%} and every rival is separated"
+        elif state.left_s < LEAST_S:
+            state.ended = f"the budget of {state.budget_min:g} minutes is spent"
+        elif len(designed) >= MOST_EXPERIMENTS:
+            state.ended = f"{MOST_EXPERIMENTS} experiments did not suffice"
+        else:
+            found = next_experiment(
+                self._bench,
+                judged,
+                state.seed,
+                len(state.experiments) + 1,
+                self._progress,
+                state.left_s,
+                self._tripped(),
+                covered < COVERING and not (rivals and designed),
+            )
+        if rivals and (found is None or found.purpose == "cover"):
+            first = judged.weighed.hypotheses[0]
+            state.cannot_separate = [
+                {"names": [first.name, r.name], "needs": needs(first, r)} for r in rivals
+            ]
+        if found is None and not state.ended:
+            state.ended = (
+                "no experiment within limits, weights and channels of this bench separates the rest"
+                if rivals
+                else f"{covered} experiments that show what the others did not changed nothing"
+            )
+        return found
+
+    def _tripped(self) -> list[str]:
+        """Return the names of the stages that have tripped."""
+        tripped = Ending.TRIPPED.value
+        runs = [e.run for e in self.state.experiments if e.state == tripped and e.sequence]
+        stages = [s for run in runs for s in read_record(self._place(run)).stages]
+        return [stage.name for stage in stages if stage.state == tripped]
+
+    def _confirm(self, final: Judgement) -> None:
+        """Predict one more experiment, seal the prediction, and run the experiment."""
+        state = self.state
+        rng = np.random.default_rng([state.seed, len(state.experiments), 1])
+        prediction = predict(
+            self._bench, final.outcome, final.weighed, rng, self._progress, state.confirm
+        )
+        if prediction is None:
+            self._say("no confirming experiment: the model of the result cannot be simulated")
+            return
+        path = self._folder / PREDICTION_FILE
+        write_json(path, prediction.sealed)
+        state.confirmation = {"predicted_sha256": sha256_file(path)}
+        self._say(f"prediction sealed: SHA-256 {state.confirmation['predicted_sha256']}")
+        e = _planned(prediction.reason, prediction.seconds, prediction.weight_changes, "confirm")
+        self._carry(e, prediction.sequence)
+
+    def _compare(self) -> Confirmation | None:
+        """Compare the confirming run, if it was completed, with its prediction."""
+        runs = [e for e in self._confirming() if e.state == Ending.DONE.value]
+        if not runs:
+            return None
+        path, digest = self._folder / PREDICTION_FILE, self.state.confirmation["predicted_sha256"]
+        if (now := sha256_file(path)) != digest:
+            raise InputError(
+                f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
+            )
+        found = compare(read_json(path), load_run(self._place(runs[-1].run)))
+        self.state.confirmation |= found.record()
+        self.state.save(self._folder)
+        return found
+
+
+def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:
+    return Experiment("", "", reason, seconds, changes, purpose=purpose)
+
+
+def given_run(folder: Path) -> Experiment:
+    """Return a run that exists as an experiment of an investigation."""
+    record = read_record(folder)
+    state = Ending.CRASHED.value if record.state == "running" else record.state
+    changes = weight_changes(record.stages)
+    return Experiment(
+        str(folder.absolute()), "", "a run that existed", 0.0, changes, state, "given"
+    )
+
+
+def next_experiment(
+    bench: SimulatedBench,
+    judged: Judgement,
+    seed: int,
+    number: int,
+    progress: Progress,
+    most_s: float = math.inf,
+    avoided: Sequence[str] = (),
+    cover: bool = True,
+) -> Proposal | None:
+    """Return the experiment that separates the open hypotheses, or else, with ``cover``, one that
+    shows what no recording has shown; None if there is none. Arguments as in :func:`propose`.
+    """
+    for covering in [False] * bool(open_rivals(judged.weighed)) + [True] * cover:
+        rng, name = np.random.default_rng([seed, number]), f"experiment-{number}"
+        hertz, weighed = judged.diagnosis.fit.bandwidth_Hz, judged.weighed
+        found = propose(bench, weighed, hertz, rng, progress, name, most_s, avoided, covering)
+        if found is not None:
+            return found
+    return None
+
+
+def open_rivals(weighed: Weighed) -> list[Hypothesis]:
+    """Return the hypotheses that the recordings have not separated from the most likely one."""
+    return [h for h in weighed.hypotheses[1:] if h.preference < REJECTED]
+
+
+def needs(first: Hypothesis, rival: Hypothesis) -> str:
+    """Return what would separate two hypotheses that no experiment of the bench separates."""
+    differing = sorted({*first.names} ^ {*rival.names})
+    by_hand = [n for n in differing if EFFECTS[n].separation is None]
+    return " ".join(EFFECTS[n].experiment for n in (by_hand or differing)[:1])

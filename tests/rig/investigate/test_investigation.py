@@ -1,0 +1,267 @@
+"""The loop with fast stand-ins for diagnosis and design: its order, its stop rule, its state on
+disk, and what a kill at any moment leaves.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from identification.design.separation import Hypothesis, Weighed
+from identification.diagnosis.result import Verdict
+from rig.cli.entry import BAD_INPUT, status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.investigate import investigation as loop
+from rig.investigate.confirmation import Confirmation, Prediction
+from rig.investigate.experiments import as_document, family
+from rig.investigate.investigation import Investigation, State, load_state
+
+Z = np.zeros(3)
+
+
+class Killed(BaseException):
+    """The program dies."""
+
+
+def weighed(preference: float, name: str = "cogging", outside: float = 0.01) -> Weighed:
+    share = 1.0 if preference < 1.0 else 0.001
+    joint = cast(Any, SimpleNamespace())
+    return Weighed(
+        (
+            Hypothesis((name,), joint, 0.0, 1.0),
+            Hypothesis(("torque_ripple",), joint, preference, share),
+            Hypothesis((), joint, math.inf, 1e-6),
+        ),
+        outside,
+    )
+
+
+@dataclass
+class World:
+    """A bench whose experiments each separate by a sigma more, and a program that may be killed."""
+
+    folder: Path
+    per_run: float = 1.6
+    verdict: Verdict = Verdict.NAMED
+    kill_at: int = -1
+    trips: bool = False
+    moments: int = 0
+    ran: list[str] = field(default_factory=list)
+    avoided: list[Any] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+
+    def moment(self) -> None:
+        self.moments += 1
+        if self.moments == self.kill_at:
+            raise Killed
+
+    def judge(self, folders: list[Path], *_: Any) -> Any:
+        self.moment()
+        preference = self.per_run * (len(folders) - 1)
+        diagnosis = SimpleNamespace(verdict=self.verdict, fit=SimpleNamespace(bandwidth_Hz=25.0))
+        outcome = SimpleNamespace(diagnosis=diagnosis)
+        return SimpleNamespace(
+            outcome=outcome,
+            diagnosis=diagnosis,
+            weighed=weighed(preference),
+            found=None,
+        )
+
+    def propose(self, *arguments: Any) -> Any:
+        self.moment()
+        *_, name, _left_s, avoided, cover = arguments
+        self.avoided.append(avoided)
+        if self.per_run == 0.0 and not cover:
+            return None
+        parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
+        return SimpleNamespace(
+            purpose="cover" if cover else "separate",
+            reason="separates cogging from torque ripple by 7.0 sigma",
+            seconds=100.0,
+            weight_changes=1,
+            apart={("cogging", "torque_ripple"): 7.0},
+            sequence=as_document(name, parts),
+        )
+
+    def carry_out(self, sequence: Path, folder: Path) -> None:
+        load_sequence(sequence)
+        self.moment()
+        folder.mkdir()
+        self.write(folder, "running")
+        self.ran.append(folder.name)
+        self.moment()
+        self.write(folder, "tripped" if self.trips and "separate" in folder.name else "done")
+        self.moment()
+
+    def write(self, folder: Path, state: str) -> None:
+        (folder / "run.json").write_text(json.dumps(state))
+
+    def predict(self, *_: Any) -> Prediction:
+        self.moment()
+        parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
+        sequence = as_document("confirm", parts).value
+        return Prediction(sequence, {"floor_rms": 0.1, "recordings": []}, 60.0, 0)
+
+    def begin(self, state: State) -> Investigation:
+        bench = load_bench("practical")
+        return Investigation(
+            bench, self.folder, state, self.carry_out, self.said.append, lambda *_: None
+        )
+
+
+@pytest.fixture
+def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
+    made = World(tmp_path)
+
+    def record(folder: Path) -> Any:
+        found = json.loads((folder / "run.json").read_text())
+        stage = SimpleNamespace(name="wide-slow-unloaded", state=found)
+        return SimpleNamespace(state=found, stages=[stage])
+
+    monkeypatch.setattr(loop, "judge", made.judge)
+    monkeypatch.setattr(loop, "propose", made.propose)
+    monkeypatch.setattr(loop, "predict", made.predict)
+    monkeypatch.setattr(loop, "read_record", record)
+    monkeypatch.setattr(loop, "load_run", lambda _: None)
+    seen = Confirmation(0.9, 0.11, 0.1, 3, (Z, Z, Z, Z))
+    monkeypatch.setattr(loop, "compare", lambda *_: seen)
+    return made
+
+
+def new(**more: Any) -> State:
+    return State({"file": "bench.yaml", "sha256": "0"}, 0, first="figure10", **more)
+
+
+def purposes(state: State) -> list[str]:
+    return [e.purpose for e in state.experiments]
+
+
+def test_it_separates_until_every_rival_is_rejected_then_confirms(world: World) -> None:
+    state = new()
+    _, confirmed = world.begin(state).run()
+    assert purposes(state) == ["first", "separate", "separate", "confirm"]
+    assert "odds" in state.ended
+    assert state.cannot_separate == []
+    assert confirmed is not None
+    assert state.confirmation["band_held"] == 0.9
+    digest = state.confirmation["predicted_sha256"]
+    assert any(digest in line for line in world.said)
+    assert asdict(load_state(world.folder)) == json.loads(json.dumps(asdict(state)))
+
+
+def test_the_odds_after_each_experiment_are_kept_and_the_sealed_one_is_in_no_fit(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, seen = new(), list[list[str]]()
+    plain = world.judge
+    monkeypatch.setattr(
+        loop, "judge", lambda f, *m: (seen.append([p.name for p in f]), plain(f, *m))[1]
+    )
+    world.begin(state).run()
+    assert all(e.odds for e in state.experiments if e.purpose != "confirm")
+    assert not any("confirm" in name for names in seen for name in names)
+
+
+def test_what_no_experiment_separates_is_ambiguous_and_says_what_would(world: World) -> None:
+    world.per_run = 0.0
+    state = new()
+    world.begin(state).run()
+    assert [pair["names"] for pair in state.cannot_separate] == [["cogging", "torque_ripple"]]
+    assert state.cannot_separate[0]["needs"]
+    assert "separate" not in purposes(state)
+
+
+@pytest.mark.parametrize("verdict", [Verdict.NOTHING_MISSING, Verdict.OUTSIDE_CATALOGUE])
+def test_without_a_rival_it_shows_what_no_recording_has_shown_twice(
+    world: World, verdict: Verdict
+) -> None:
+    world.verdict, world.per_run = verdict, 9.0
+    state = new()
+    state.experiments = []
+    world.begin(state).run()
+    assert purposes(state).count("cover") == 2
+    assert state.ended
+
+
+def test_a_budget_ends_it(world: World) -> None:
+    world.per_run = 0.1
+    state = new(budget_min=8.0)
+    world.begin(state).run()
+    assert "budget" in state.ended
+    assert state.bench_seconds < 60.0 * 8.0 + 200.0
+    assert state.cannot_separate
+
+
+def test_a_part_that_tripped_counts_and_is_avoided(world: World) -> None:
+    world.trips = True
+    state = new()
+    world.begin(state).run()
+    assert [e.state for e in state.experiments if e.purpose == "separate"] == ["tripped"] * 2
+    assert "wide-slow-unloaded" in world.avoided[-1]
+
+
+def test_killed_at_any_moment_nothing_is_lost_or_run_twice(world: World) -> None:
+    world.begin(new()).run()
+    moments, whole = world.moments, world.ran
+    ends = []
+    for k in range(1, moments + 1):
+        folder = world.folder / f"killed-{k}"
+        folder.mkdir()
+        killed = World(folder, kill_at=k)
+        loop_of = {name: getattr(killed, name) for name in ("judge", "propose", "predict")}
+        with pytest.MonkeyPatch.context() as patch:
+            for name, stand_in in loop_of.items():
+                patch.setattr(loop, name, stand_in)
+            state = new()
+            with pytest.raises(Killed):
+                killed.begin(state).run()
+            saved = load_state(folder) if (folder / loop.STATE_FILE).exists() else new()
+            killed.kill_at = -1
+            killed.begin(saved).run()
+        assert len(killed.ran) == len(set(killed.ran)), k
+        assert {e.run for e in saved.experiments} == set(killed.ran), k
+        ends.append((saved.ended, purposes(saved)))
+    assert {end for end, _ in ends} == {ends[0][0]}
+    assert {p.count("confirm") for _, p in ends} == {1}
+    assert all(len(p) == len(whole) for _, p in ends)
+
+
+def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
+    state = new()
+    world.begin(state).run()
+    path = world.folder / loop.PREDICTION_FILE
+    path.write_text(path.read_text().replace("0.1", "0.2", 1))
+    with pytest.raises(InputError, match="sealed"):
+        world.begin(state).run()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--question", "coging"), "cogging"),
+        (("figure10", "slow_ramp"), "slow_ramp"),
+        (("nowhere",), "nowhere"),
+        (("--resume",), loop.STATE_FILE),
+        (("--confirm", "missing.json"), "missing.json"),
+    ],
+)
+def test_bad_input(
+    arguments: tuple[str, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "o" / loop.STATE_FILE).exists()
