@@ -26,9 +26,9 @@ from identification.diagnosis import diagnose as diagnosis
 from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS
 from identification.effects.effect import Effect as CatalogueEffect
-from identification.effects.own import OwnEffect as Effect
-from identification.effects.own import effect as effect
 from identification.effects.model import CorrectedModel
+from identification.effects.own import OwnEffect
+from identification.effects.own import effect as effect
 from identification.effects.prediction import Fitted, Given, Simulation, predict
 from identification.estimate.default import identify_any_length
 from identification.model.parameters import SYSTEM_PARAMETERS
@@ -42,6 +42,8 @@ Seed = int | np.random.Generator | None
 """What :func:`numpy.random.default_rng` takes: a seed, a generator, or None for other draws in each
 call.
 """
+Effect = OwnEffect
+"""What an effect of one's own is derived from."""
 catalogue: Mapping[str, CatalogueEffect] = EFFECTS
 """Effects that a diagnosis knows, by name."""
 MAY_LACK = ("voltage", "supply_voltage", "temperature", "pressure")

@@ -376,7 +376,9 @@ def least_squares_left(before: Evidence, added: Evidence) -> float:
 def visibility(before: Evidence) -> Array:
     """Return the squares of each effect that the nominal constants cannot explain, shape (e,)."""
     own, along = before.shown[:, 0], before.shown[:, 1:]
-    return np.maximum(own - np.sum(along.T * _solved(before.normal, along.T), axis=0), 0.0)
+    return np.asarray(
+        np.maximum(own - np.sum(along.T * _solved(before.normal, along.T), axis=0), 0.0)
+    )
 
 
 def information(before: Evidence, added: Evidence) -> float:

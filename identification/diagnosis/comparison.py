@@ -149,8 +149,9 @@ def _beyond_range(joint: Joint, effect: Added) -> str:
     found = effect.parameters(Context(views, joint.nominal))
     motion = views[0].recording.bench.motion
     for q in effect.term.parameters:
-        same = isinstance(q.dimension, str) or q.dimension in UNSCALED
-        scale = 1.0 if same else _scale(q.dimension, views, joint.nominal)
+        scale = 1.0
+        if isinstance(q.dimension, Dimension) and q.dimension not in UNSCALED:
+            scale = _scale(q.dimension, views, joint.nominal)
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
         if motion == LINEAR and q.dimension is Dimension.ANGLE:

@@ -171,7 +171,7 @@ def reported(
     or the motion that friction depends on, the constants are those before.
     """
     beside, alpha = unreported_constants(final), final.nominal.fitted_alpha or final.nominal.alpha
-    catalogue = {e.term.name: e.term for e in final.effects} | EFFECTS
+    catalogue = {**{e.term.name: e.term for e in final.effects}, **EFFECTS}
     terms = [catalogue[e.name] for e in effects]
     acting = any(t.flexible or {"torque", "breakaway"} & {*t.columns} for t in terms)
 

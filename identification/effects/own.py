@@ -315,7 +315,7 @@ class OwnEffect(Effect):
 
     def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
         """Return the parameters at fitted coefficients ``c``."""
-        found = {**dict(zip(self.nonlinear, shape, strict=True)), **_named(self.coefficients, c)}
+        found = {**_named(self.nonlinear, shape), **_named(self.coefficients, c)}
         return {q.name: float(found[q.name]) for q in self.parameters}
 
     def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
@@ -538,7 +538,9 @@ def factor(unit: str, scale: Mapping[str, float], linear: bool = False) -> float
     """
     if linear and unit in ("N m", "rad", "rad/s", "rad/s^2"):
         unit = unit.replace("N m", "N").replace("rad", "m")
-    return math.prod(scale.get(base, 1.0) ** power for base, power in dimensions(unit).items())
+    return float(
+        math.prod(scale.get(base, 1.0) ** power for base, power in dimensions(unit).items())
+    )
 
 
 def _alike(one: Array, other: Array) -> bool:
@@ -553,7 +555,7 @@ def _place(*functions: Response) -> str:
 
 @cache
 def _record_of(names: tuple[str, ...]) -> Any:
-    return namedtuple("Parameters", names)  # type: ignore[misc]
+    return namedtuple("Parameters", names)
 
 
 def _named(names: Sequence[Any], values: Sequence[float] | Array) -> dict[str, float]:
@@ -605,7 +607,7 @@ def _by_factors(q: Quantity) -> bool:
 def _within(q: Quantity, share: float) -> float:
     """Return the value at a share of a range."""
     if _by_factors(q):
-        return q.low * (q.high / q.low) ** share
+        return q.low * float((q.high / q.low) ** share)
     return q.low + share * (q.high - q.low)
 
 

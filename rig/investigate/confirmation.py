@@ -13,11 +13,10 @@ import numpy as np
 from scipy import stats
 
 from identification.design.separation import Weighed, experiment_views, predicted_band
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, plain
 from identification.recording import Dataset, RecordingError
 from identification.views.view import views
 from rig.common.errors import InputError
-from rig.common.provenance import plain
 from rig.config.sequence import Sequence as Stages
 from rig.investigate.choice import Progress
 from rig.investigate.experiments import (

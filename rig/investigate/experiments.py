@@ -45,6 +45,7 @@ from rig.planning.predicted_load import FrictionModel, PredictedLoad, moves_to_s
 from rig.planning.reference import moment_per_kg
 from rig.results.diagnose.model_bench import model_bench
 from rig.runs.run import AVERAGED, bench_constants
+from rig.runs.run_record import StageRecord
 
 HANG_S, CONFIRM_S, START_S = 60.0, 10.0, 30.0
 """Bench time of a changed weight (the assumption of ``rig run --dry-run`` for a prompt), of a
@@ -189,7 +190,7 @@ def as_document(name: str, parts: Sequence[Part], head: str = "") -> Document[St
     return located_text(Path(f"{name}.yaml"), text, Stages)
 
 
-def weight_changes(stages: Sequence[StageSection | PlannedStage]) -> int:
+def weight_changes(stages: Sequence[StageSection | PlannedStage | StageRecord]) -> int:
     """Return how often a weight is hung or taken off, from the empty lever on."""
     masses = [0.0, *(stage.weight_kg for stage in stages)]
     return sum(a != b for a, b in pairwise(masses))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 from identification.diagnosis.result import Verdict as Outcomes
 from identification.plots import investigation as plots
@@ -106,6 +106,7 @@ def _sections(
     files: tuple[tuple[str, str], ...],
 ) -> Iterator[Section]:
     verdict = verdict_of(judged)
+    tone: Literal["good", "found", "open"]
     tone = "good" if verdict is Outcomes.NOTHING_MISSING else "found"
     open_end = verdict in (Outcomes.AMBIGUOUS, Outcomes.OUTSIDE_CATALOGUE)
     headline = verdict.value.replace("_", " ").capitalize()

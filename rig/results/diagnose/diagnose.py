@@ -16,7 +16,7 @@ from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.search import Search
-from identification.effects import EffectError
+from identification.effects.own import EffectError
 from identification.estimate.default import identify_any_length
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification

@@ -22,10 +22,10 @@ from identification.diagnosis.result import (
 from identification.diagnosis.result import Verdict as Outcomes
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.statement import FACTORS, readable
-from identification.effects import EFFECTS, EffectError
+from identification.effects import EFFECTS
 from identification.effects.effect import Effect, Quantity
 from identification.effects.model import COORDINATES
-from identification.effects.own import OwnEffect
+from identification.effects.own import EffectError, OwnEffect
 from identification.model.parameters import parameter_title, parameter_unit
 from identification.numerics.arrays import finite
 from identification.plots import mismatch

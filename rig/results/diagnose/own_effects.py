@@ -10,8 +10,9 @@ from typing import Any
 
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.effects.own import injected, user_module
-from identification.effects import EFFECTS, EffectError, with_own
+from identification.effects import EFFECTS, with_own
 from identification.effects.effect import Effect
+from identification.effects.own import EffectError
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 

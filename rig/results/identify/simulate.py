@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from identification.effects import EffectError, prediction
+from identification.effects import prediction
 from identification.effects.model import CorrectedModel, predictions, views_for
+from identification.effects.own import EffectError
 from identification.effects.prediction import Simulation as Banded
 from identification.estimate.bandwidth import choose_bandwidth
 from identification.plots.signals import predicted, simulated

@@ -108,7 +108,8 @@ def own_torques(machine: constants.Machine) -> list[OwnTorque]:
         function = getattr(module, f"{_PREFIX}{name}")
         place = f"{path}:{function.__code__.co_firstlineno}"
         given = machine.effects[name]
-        p = namedtuple("Parameters", given)(*map(float, given.values()))  # type: ignore[misc]
+        record: Any = namedtuple("Parameters", given)  # type: ignore[misc]
+        p = record(*map(float, given.values()))
         try:
             first = float(function(0.0, 0.0, 0.0, 0.0, np.zeros(STATES), 1e-4, p))
         except Exception as error:
