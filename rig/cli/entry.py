@@ -56,6 +56,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.diagnose:diagnose",
         "Find physics that the model lacks, and add it to the model.",
     ),
+    "model": ("rig.cli.commands.model:model", "Write a fitted model for other tools."),
     "effects": ("rig.cli.commands.diagnose:effects", "List the effects of a diagnosis."),
     "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (

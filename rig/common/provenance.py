@@ -17,7 +17,7 @@ from rig.common.places import is_folder, require_plain
 
 if TYPE_CHECKING:
     # At run time this import would load numba, for which `rig --help` must not wait.
-    from identification.recording import Recording
+    from identification.recording import Dataset, Recording
 
 
 def sha256(content: bytes) -> str:
@@ -165,3 +165,10 @@ def plain(value: Any, *left_out: str) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return finite(value) if isinstance(value, float) else value
+
+
+def constants_of(dataset: Dataset) -> dict[str, Any]:
+    """Return the known constants of the bench, which the model of a result needs."""
+    bench = dataset.recordings[0].bench
+    left_out = ("motion", "gas_generator")
+    return {f.name: finite(getattr(bench, f.name)) for f in fields(bench) if f.name not in left_out}

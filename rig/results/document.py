@@ -19,7 +19,7 @@ import jinja2
 
 from identification.recording import Recording
 from rig.common.errors import InputError
-from rig.common.places import write_json, write_text
+from rig.common.places import replacing, write_json, write_text
 from rig.common.provenance import Provenance
 from rig.common.tables import table
 
@@ -281,8 +281,8 @@ def write_page(document: Document, file: Path) -> None:
         write_text(file, page(document))
 
 
-def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write text files into a folder, by their paths relative to the folder.
+def write_texts(texts: Mapping[str, str | bytes], folder: Path) -> None:
+    """Write files into a folder, by their paths relative to the folder.
 
     Raises:
         InputError: The folder cannot be written.
@@ -290,7 +290,11 @@ def write_texts(texts: Mapping[str, str], folder: Path) -> None:
     with _writing(folder):
         for name, text in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            write_text(folder / name, text)
+            if isinstance(text, str):
+                write_text(folder / name, text)
+            else:
+                with replacing(folder / name) as draft:
+                    draft.write_bytes(text)
 
 
 @contextmanager

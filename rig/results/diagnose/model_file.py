@@ -16,7 +16,7 @@ from identification.effects.model import COORDINATES, CorrectedModel, Curve
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, plain
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, constants_of, plain
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
@@ -40,6 +40,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
         **effects_record(found),
         **{name: plain(getattr(found, name)) for name in FIELDS},
         "motion": dataset.recordings[0].bench.motion,
+        "constants": constants_of(dataset),
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
     }
