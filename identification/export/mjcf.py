@@ -130,7 +130,11 @@ def mjcf_texts(
         f"{np.max(grid.angle):.4g} rad at up to {np.max(grid.speed):.4g} rad/s, without contact "
         "force.\n"
     )
-    kinetic = f'damping="{plain.damping:.10g}" frictionloss="{plain.friction:.10g}"'
+    # With MuJoCo's usual softness the joint creeps under dry friction up to 0.05 rad/s.
+    kinetic = (
+        f'damping="{plain.damping:.10g}" frictionloss="{plain.friction:.10g}" '
+        f'solreffriction="{2.0 * machine.largest_step:g} 1" solimpfriction="0.99 0.99 0.001"'
+    )
     motor = f'<motor name="current" joint="joint" gear="{ampere_torque:.10g}"/>'
     note = (
         f"{head}  Error of the torque: {_rms(plain.error):.4g} N m rms, greatest "
@@ -224,7 +228,7 @@ def _document(
     armature = inertia - mass * length**2 - least
     kind = "slide" if machine.motion == "linear" else "hinge"
     axis = "1 0 0" if machine.motion == "linear" else "0 1 0"
-    step, g = min(machine.largest_step, 1e-3), STANDARD_GRAVITY
+    step, g = machine.largest_step, STANDARD_GRAVITY
     inner = " ".join([f"{least:.3g}"] * 3)
     return f"""\
 <!--
