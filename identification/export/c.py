@@ -163,10 +163,12 @@ static int advance(@NAME@_model *m, sample *x, @NAME@_outputs *y)
         else
             high = speed;
         next = speed - value * (speed - last) / (value - before);
-        if (value == 0.0 || fabs(next - speed) <= 1e-12 * next + 1e-18)
+        if (value == 0.0 || fabs(next - speed) <= 1e-12 * speed + 1e-18)
             break;
         if (!(low < next && next < high) || (k % 10 == 9 && high < INFINITY))
             next = high < INFINITY ? 0.5 * (low + high) : 2.0 * speed;
+        if (high - low <= 1e-13 * speed)
+            break;
         last = speed;
         before = value;
         speed = next;

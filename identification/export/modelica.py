@@ -110,10 +110,11 @@ _TEXT = """\
         high := speed;
       end if;
       next := if value == before then high else speed - value * (speed - last) / (value - before);
-      done := value == 0.0 or abs(next - speed) <= 1e-12 * next + 1e-18;
+      done := value == 0.0 or abs(next - speed) <= 1e-12 * speed + 1e-18;
       if not done and (not (low < next and next < high) or (mod(k, 10) == 9 and high < 1e300)) then
         next := if high < 1e300 then 0.5 * (low + high) else 2.0 * speed;
       end if;
+      done := done or high - low <= 1e-13 * speed;
       last := speed;
       before := value;
       speed := if value == 0.0 then speed else next;

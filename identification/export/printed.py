@@ -215,10 +215,12 @@ class Model:
             value = side * self.trial(x, side * speed, side)
             low, high = (speed, high) if value < 0.0 else (low, speed)
             new = speed - quotient(value * (speed - last), value - before)
-            if value == 0.0 or abs(new - speed) <= 1e-12 * new + 1e-18:
+            if value == 0.0 or abs(new - speed) <= 1e-12 * speed + 1e-18:
                 break
             if not low < new < high or (k % 10 == 9 and high < math.inf):
                 new = 0.5 * (low + high) if high < math.inf else 2.0 * speed
+            if high - low <= 1e-13 * speed:
+                break
             last, before, speed = speed, value, new
         if not math.isfinite(value):
             raise ValueError("no speed solves the equations; are the inputs finite?")
