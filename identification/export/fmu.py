@@ -222,72 +222,20 @@ FMI int fmi3FreeFMUState(component *c, void **state)
     return OK;
 }
 
-FMI int fmi3SerializedFMUStateSize(component *c, const void *state, size_t *size)
-{
-    (void)c, (void)state;
-    *size = sizeof(values);
-    return OK;
-}
-
-FMI int fmi3SerializeFMUState(component *c, const void *state, uint8_t bytes[], size_t size)
-{
-    if (size < sizeof(values))
-        return say(c, "too few bytes for the state");
-    memcpy(bytes, state, sizeof(values));
-    return OK;
-}
-
-FMI int fmi3DeserializeFMUState(component *c, const uint8_t bytes[], size_t size, void **state)
-{
-    if (size < sizeof(values))
-        return say(c, "too few bytes for the state");
-    if (!*state && !(*state = malloc(sizeof(values))))
-        return say(c, "no memory");
-    memcpy(*state, bytes, sizeof(values));
-    return OK;
-}
-
-NONE(InstantiateModelExchange)
-NONE(InstantiateScheduledExecution)
-OTHER_TYPE(Float32)
-OTHER_TYPE(Int8)
-OTHER_TYPE(UInt8)
-OTHER_TYPE(Int16)
-OTHER_TYPE(UInt16)
-OTHER_TYPE(Int32)
-OTHER_TYPE(UInt32)
-OTHER_TYPE(Int64)
-OTHER_TYPE(UInt64)
-OTHER_TYPE(Boolean)
-OTHER_TYPE(String)
-OTHER_TYPE(Binary)
-OTHER_TYPE(Clock)
-OTHER_TYPE(IntervalDecimal)
-OTHER_TYPE(IntervalFraction)
-OTHER_TYPE(ShiftDecimal)
-OTHER_TYPE(ShiftFraction)
-ABSENT(ActivateModelPartition)
-ABSENT(CompletedIntegratorStep)
-ABSENT(EnterConfigurationMode)
-ABSENT(EnterContinuousTimeMode)
-ABSENT(EnterEventMode)
-ABSENT(EnterStepMode)
-ABSENT(EvaluateDiscreteStates)
-ABSENT(ExitConfigurationMode)
-ABSENT(GetAdjointDerivative)
-ABSENT(GetContinuousStateDerivatives)
-ABSENT(GetContinuousStates)
-ABSENT(GetDirectionalDerivative)
-ABSENT(GetEventIndicators)
-ABSENT(GetNominalsOfContinuousStates)
-ABSENT(GetNumberOfContinuousStates)
-ABSENT(GetNumberOfEventIndicators)
-ABSENT(GetNumberOfVariableDependencies)
-ABSENT(GetOutputDerivatives)
-ABSENT(GetVariableDependencies)
-ABSENT(SetContinuousStates)
-ABSENT(SetTime)
-ABSENT(UpdateDiscreteStates)
+NONE(InstantiateModelExchange) NONE(InstantiateScheduledExecution) OTHER_TYPE(Float32)
+OTHER_TYPE(Int8) OTHER_TYPE(UInt8) OTHER_TYPE(Int16) OTHER_TYPE(UInt16) OTHER_TYPE(Int32)
+OTHER_TYPE(UInt32) OTHER_TYPE(Int64) OTHER_TYPE(UInt64) OTHER_TYPE(Boolean) OTHER_TYPE(String)
+OTHER_TYPE(Binary) OTHER_TYPE(Clock) OTHER_TYPE(IntervalDecimal) OTHER_TYPE(IntervalFraction)
+OTHER_TYPE(ShiftDecimal) OTHER_TYPE(ShiftFraction) ABSENT(ActivateModelPartition)
+ABSENT(CompletedIntegratorStep) ABSENT(EnterConfigurationMode) ABSENT(EnterContinuousTimeMode)
+ABSENT(EnterEventMode) ABSENT(EnterStepMode) ABSENT(EvaluateDiscreteStates)
+ABSENT(ExitConfigurationMode) ABSENT(GetAdjointDerivative) ABSENT(GetContinuousStateDerivatives)
+ABSENT(GetContinuousStates) ABSENT(GetDirectionalDerivative) ABSENT(GetEventIndicators)
+ABSENT(GetNominalsOfContinuousStates) ABSENT(GetNumberOfContinuousStates)
+ABSENT(GetNumberOfEventIndicators) ABSENT(GetNumberOfVariableDependencies)
+ABSENT(GetOutputDerivatives) ABSENT(GetVariableDependencies) ABSENT(SetContinuousStates)
+ABSENT(SetTime) ABSENT(UpdateDiscreteStates) ABSENT(SerializedFMUStateSize)
+ABSENT(SerializeFMUState) ABSENT(DeserializeFMUState)
 
 #else
 
@@ -353,21 +301,11 @@ FMI int fmi2FreeFMUstate(component *c, void **state)
     return OK;
 }
 
-OTHER_TYPE(Integer)
-OTHER_TYPE(Boolean)
-OTHER_TYPE(String)
-ABSENT(CancelStep)
-ABSENT(DeSerializeFMUstate)
-ABSENT(GetBooleanStatus)
-ABSENT(GetDirectionalDerivative)
-ABSENT(GetIntegerStatus)
-ABSENT(GetRealOutputDerivatives)
-ABSENT(GetRealStatus)
-ABSENT(GetStatus)
-ABSENT(GetStringStatus)
-ABSENT(SerializeFMUstate)
-ABSENT(SerializedFMUstateSize)
-ABSENT(SetRealInputDerivatives)
+OTHER_TYPE(Integer) OTHER_TYPE(Boolean) OTHER_TYPE(String) ABSENT(CancelStep)
+ABSENT(DeSerializeFMUstate) ABSENT(GetBooleanStatus) ABSENT(GetDirectionalDerivative)
+ABSENT(GetIntegerStatus) ABSENT(GetRealOutputDerivatives) ABSENT(GetRealStatus)
+ABSENT(GetStatus) ABSENT(GetStringStatus) ABSENT(SerializeFMUstate)
+ABSENT(SerializedFMUstateSize) ABSENT(SetRealInputDerivatives)
 
 #endif
 """
@@ -438,14 +376,13 @@ def _description(machine: Machine, version: int, token: str) -> str:
     named = "guid" if version == 2 else "instantiationToken"
     state = "FMUstate" if version == 2 else "FMUState"
     files = "".join(f'<File name="{n}"/>' for n in (f"{machine.name}.c", "fmu.c"))
-    serial = "" if version == 2 else ' canSerializeFMUState="true"'
     step = 4.0 * machine.largest_step
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<fmiModelDescription fmiVersion="{version}.0" modelName="{machine.name}"',
         f'  {named}="{token}" generationTool="loadrig"',
         f"  description={quoteattr(machine.source)}>",
-        f'  <CoSimulation modelIdentifier="{machine.name}" canGetAndSet{state}="true"{serial}',
+        f'  <CoSimulation modelIdentifier="{machine.name}" canGetAndSet{state}="true"',
         '    canHandleVariableCommunicationStepSize="true"'
         + (f"><SourceFiles>{files}</SourceFiles></CoSimulation>" if version == 2 else "/>"),
         "  <UnitDefinitions>",

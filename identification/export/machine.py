@@ -173,7 +173,7 @@ class _Signals(SimpleNamespace):
         """Return the signals with another velocity of the joint."""
         return type(self)(**{**vars(self), "velocity": velocity})
 
-    def __hash__(self) -> int:
+    def __hash__(self) -> int:  # type: ignore[override]
         return id(self)
 
 
@@ -360,7 +360,7 @@ def _carried(curve: Curve | None, equation: str, s: _Signals) -> Sequence[Node]:
     if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:
         return ()
     x = getattr(s, COORDINATES[curve.coordinate])
-    value = node(float(curve.value[0]))
+    value: Any = node(float(curve.value[0]))
     slopes = np.diff(curve.value) / np.diff(curve.grid)
     for left, width, slope in zip(curve.grid, np.diff(curve.grid), slopes, strict=False):
         value = value + float(slope) * apply("min", apply("max", x - left, 0.0), float(width))

@@ -95,7 +95,7 @@ def fitted(torque: Array, grid: Grid) -> Passive:
 
 def _least_squares(basis: Array, torque: Array) -> tuple[Array, Array]:
     """Return coefficients and the rest."""
-    c = np.linalg.lstsq(basis.T, torque, rcond=None)[0]
+    c: Array = np.asarray(np.linalg.lstsq(basis.T, torque, rcond=None)[0])
     return c, torque - c @ basis
 
 

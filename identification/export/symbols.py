@@ -96,6 +96,13 @@ class Node:
         logical: Whether the value is true or false.
     """
 
+    fixed: bool
+    logical: bool
+    __add__: Callable[..., Any]
+    __radd__: Callable[..., Any]
+    __sub__: Callable[..., Any]
+    __mul__: Callable[..., Any]
+    __rmul__: Callable[..., Any]
     flags = SimpleNamespace()
     """Numpy's flags of an array, which functions of this program set."""
 
@@ -117,7 +124,8 @@ class Node:
         return 1
 
     def __round__(self) -> int:
-        return round(evaluated(self))
+        value: float = evaluated(self)
+        return round(value)
 
     def __bool__(self) -> bool:
         if self.fixed:
@@ -229,12 +237,12 @@ class Rows(list[Any]):
         others = other if isinstance(other, list) else [other] * len(self)
         return Rows(apply(operation, a, b) for a, b in zip(self, others, strict=True))
 
-    def __mul__(self, other: Any) -> Rows:  # type: ignore[override]
+    def __mul__(self, other: Any) -> Rows:
         return self._with(other, "*")
 
-    __rmul__ = __mul__  # type: ignore[assignment]
+    __rmul__ = __mul__
 
-    def __add__(self, other: Any) -> Rows:  # type: ignore[override]
+    def __add__(self, other: Any) -> Rows:
         return self._with(other, "+")
 
     def __truediv__(self, other: Any) -> Rows:
@@ -326,10 +334,6 @@ def total(parts: Iterable[Any]) -> Any:
     return functools.reduce(lambda a, b: apply("+", a, b), parts, node(0.0))
 
 
-def _full(shape: Any, value: Any = 0.0) -> Any:
-    return Rows([value] * shape[0]) if isinstance(shape, tuple) else node(value)
-
-
 def _not_causal(*_: Any) -> Any:
     raise NotCausalError
 
@@ -361,8 +365,8 @@ NUMPY = SimpleNamespace(
     stack=lambda parts: Rows(node(p) for p in parts),
     array=lambda a: Rows(a),
     ones=lambda _: node(1.0),
-    zeros=lambda shape: _full(shape),
-    full=lambda shape, value: _full(shape, value),
+    zeros=lambda shape: Rows([0.0] * shape[0]) if isinstance(shape, tuple) else node(0.0),
+    full=lambda _, value: node(value),
     empty=lambda shape: _Written([0.0] * shape[0]),
     empty_like=lambda _: _Written([0.0]),
     mean=lambda _: node(0.0),
@@ -370,12 +374,9 @@ NUMPY = SimpleNamespace(
     inf=math.inf,
     float64=float,
 )
-"""Functions of numpy for nodes. Before the first sample the machine was at rest without current:
-means over that time are zero.
+"""Functions of numpy, and of math, for nodes. Before the first sample the machine was at rest
+without current: means over that time are zero.
 """
-MATH = SimpleNamespace(
-    **{n: _function(n) for n in ("sin", "cos", "exp", "sqrt")}, pi=math.pi, inf=math.inf
-)
 
 
 def _least(operation: str) -> Callable[..., Any]:
@@ -409,7 +410,7 @@ class Symbols:
         )
         self._replaced: dict[Any, Any] = {
             np: numpy,
-            math: MATH,
+            math: numpy,
             central_difference: lambda a, _: self.started(node(0.0), (a - a[BEFORE]) / step),
             series.sine_cosine: lambda f, a: Rows([apply("sin", f * a), apply("cos", f * a)]),
             series.delayed_series: _not_causal,
