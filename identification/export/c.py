@@ -175,7 +175,11 @@ static int advance(@NAME@_model *m, sample *x, @NAME@_outputs *y)
     }
     if (!isfinite(value))
         return -1;
-    move(m, x, side * (value == 0.0 ? speed : next), side);
+    if (value == 0.0)
+        next = speed;
+    else if (fabs(value) > 1e-6 * fabs(up < 0.0 ? up : down))
+        next = low; /* the torque jumps, as where a gap closes */
+    move(m, x, side * next, side);
     keep(m, x, y);
     return 0;
 }

@@ -78,6 +78,7 @@ _TEXT = """\
     Real high;
     Real last;
     Real before;
+    Real start;
     Real speed;
     Real value;
     Real next;
@@ -91,10 +92,8 @@ _TEXT = """\
     low := 0.0;
     high := 1e300;
     last := 0.0;
-    before := -abs(down);
-    if up < 0.0 then
-      before := -abs(up);
-    end if;
+    start := if up < 0.0 then abs(up) else abs(down);
+    before := -start;
     done := false;
     k := 0;
     if up >= 0.0 and down <= 0.0 then
@@ -115,6 +114,9 @@ _TEXT = """\
         next := if high < 1e300 then 0.5 * (low + high) else 2.0 * speed;
       end if;
       done := done or high - low <= 1e-13 * speed;
+      if done and abs(value) > 1e-6 * start then
+        next := low;
+      end if;
       last := speed;
       before := value;
       speed := if value == 0.0 then speed else next;

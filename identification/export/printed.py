@@ -224,7 +224,11 @@ class Model:
             last, before, speed = speed, value, new
         if not math.isfinite(value):
             raise ValueError("no speed solves the equations; are the inputs finite?")
-        self.move(x, side * (new if value else speed), side)
+        if value == 0.0:
+            new = speed
+        elif abs(value) > 1e-6 * abs(up if up < 0.0 else down):
+            new = low  # the torque jumps, as where a gap closes
+        self.move(x, side * new, side)
         return self.keep(x, False)
 
 

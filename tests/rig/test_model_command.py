@@ -54,6 +54,7 @@ PLAUSIBLE = {
     "gear_mesh_ripple": {"amplitude_rad": 1e-3, "per_turn": 23.0},
     "asymmetric_viscous": {"coefficient_Nms_rad": -1.0},
     "asymmetric_coulomb": {"torque_Nm": 2.0},
+    "friction_play": {"gap_rad": 0.02, "friction_share": 0.5, "inertia_kgm2": 0.05},
     "encoder_ripple": {"amplitude_rad": 1e-3, "per_turn": 2.0},
     "position_dependent_friction": {"torque_Nm": 2.0},
     "constant_torque": {"torque_Nm": -2.0},
