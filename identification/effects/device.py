@@ -320,6 +320,7 @@ class WrongWeight(Effect):
     experiment = """Weigh the load on the lever and repeat this recording; all other recordings
         remain valid."""
     separation = Separation.LOADS
+    not_simulated = "the weight of one recording, not a property of the machine"
     sentence = "the weight in {recordings} is {mass_kg:kg}, which differs from its label"
     place = 0
     follows = True

@@ -197,6 +197,8 @@ class Effect:
             the torque that the motion requires.
         modelled: Equations of :attr:`enters` in which the corrected model has the effect; None for
             all of them.
+        not_simulated: What a simulation of the exported model leaves out of the effect, and why;
+            empty for an effect that the simulation has completely.
         flexible: Whether the joint moves differently from the motor, so that friction is a function
             of the motion of the joint encoder.
         fast: Whether the effect may vary by its full amplitude from row to row.
@@ -256,6 +258,7 @@ class Effect:
     enters: tuple[str, ...] = ("torque", "breakaway")
     on_drive = False
     modelled: tuple[str, ...] | None = None
+    not_simulated = ""
     flexible = False
     fast = False
     needs: frozenset[Needs] = frozenset()

@@ -91,7 +91,7 @@ def _with_lagged_speed(view: View, time_s: float) -> View:
 
 
 @recent
-def _initial_friction(view: View, nominal: Nominal) -> float:
+def initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction that balances the drive's torque at rest at the start of a recording, N
     m.
 
@@ -289,7 +289,7 @@ class FrictionMemory(Effect):
             else first_order_lag(level, view.step, time_s)
         )
         if nominal.presliding_stiffness:  # the presliding deflection then has the lag
-            start = _initial_friction(view, nominal)
+            start = initial_friction(view, nominal)
             late, level = (
                 dahl(view.angle, each, nominal.presliding_stiffness, start)
                 for each in (late, level)
@@ -354,7 +354,7 @@ class Presliding(Effect):
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
         level = dry_level(view, nominal)
         return rows(
-            dahl(view.angle, level, shape[0], _initial_friction(view, nominal)) - view.sense * level
+            dahl(view.angle, level, shape[0], initial_friction(view, nominal)) - view.sense * level
         )
 
     def shapes(self, context: Context) -> Sequence[Shape]:

@@ -34,6 +34,7 @@ class GasGeneratorEffect(Effect):
     one_sided = True
     simulated = True
     shape_error = EXACT
+    not_simulated = "the gas generator is another model; its constants are a block of a campaign"
     slots: tuple[int, ...]
 
     def pressure(self, view: Any, nominal: Any, shape: Shape) -> Array:

@@ -144,7 +144,7 @@ def has_current(view: View) -> bool:
     return view.current is not None and view.recording.bench.torque_constant is not None
 
 
-def _mean_over_sample(
+def mean_over_sample(
     view: View,
     zero_A: float,
     antiderivative: Callable[[Array], Array],
@@ -188,7 +188,7 @@ def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
         return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
 
     return rows(
-        _mean_over_sample(
+        mean_over_sample(
             view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))
         )
     )

@@ -73,6 +73,7 @@ class TimeSkew(Effect):
     look_alikes = ("current_loop_lag", "friction_memory", "transport_delay")
     experiment = CurrentLoopLag.experiment
     separation = Separation.FREQUENCIES
+    not_simulated = "a shift between the time stamps of channels, which no machine has"
     sentence = """the {channel} is sampled {time_s:abs ms} {time_s:?before/after} the angles that
         carry its time stamp"""
     refine = {0: 2e-3}
@@ -129,6 +130,7 @@ class TransportDelay(Effect):
     look_alikes = ("backlash", "compliance", "time_skew")
     experiment = Backlash.experiment
     separation = Separation.LOADS_AND_SPEEDS
+    not_simulated = "a delay of the reading of the joint's encoder, not of the joint"
     sentence = "the joint's encoder reports the angle of the joint {time_s:ms} ago"
     refine = {0: 0.0}
     size = 1.0
@@ -325,6 +327,7 @@ class EncoderSlip(Effect):
     experiment = """The start position approached from the same side before and after the recording:
         after a slip the readings of the joint encoder differ, after the crossing of a gap they are
         equal."""
+    not_simulated = "one slip in one recording, not a property of the machine"
     sentence = """the joint's encoder slipped on its shaft by {angle_rad:deg}, {at_s:s} into
         {recordings}"""
     place = 0

@@ -48,6 +48,8 @@ WIND_SHARES = tuple(float(s) for s in np.geomspace(3e-4, 0.1, 7))
 """Trial travels over which a gear's friction builds up, relative to the travel."""
 LOSSES = ((0.1, 0.0), (0.1, 0.1), (0.3, 0.1))
 """Trial shares of a gear's torque that its friction takes, against the motion and the torque."""
+ONE_BODY = "the model moves motor and joint as one body; only the motor's angle has the effect"
+"""What a simulation leaves out of an effect of a flexible transmission."""
 FIRST_SAMPLES = 20
 """Number of samples at the start of a recording whose encoder readings determine the initial
 position in a gap or a hysteresis loop.
@@ -179,7 +181,7 @@ def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
     the initial lead of the play operator, whose input is the torque.
     """
     out = play(torque, 2.0 * width, start)
-    np.subtract(torque, out, out=out)
+    out = np.subtract(torque, out, out=out)
     out /= width
     return np.asarray(np.clip(out, -1.0, 1.0, out=out))
 
@@ -204,6 +206,7 @@ class Backlash(Clearance, Effect):
         fixed width in angle; the effect of a twist is proportional to the torque, that of a delay
         to the speed."""
     separation = Separation.LOADS_AND_SPEEDS
+    not_simulated = ONE_BODY
     sentence = "the shaft turns {gap_rad:deg} before the valve follows each reversal of torque"
     refine = {0: 0.0, 1: 0.5 * TWIST_COUNTS[1], 3: 0.0}
     limits = {1: TWIST_COUNTS}
@@ -261,6 +264,7 @@ class Compliance(Effect):
     look_alikes = ("backlash", "coupling_hysteresis", "transport_delay")
     experiment = Backlash.experiment
     separation = Separation.LOADS_AND_SPEEDS
+    not_simulated = ONE_BODY
     sentence = """the shaft twists in proportion to its torque, with a stiffness of
         {stiffness_Nm_rad:N m/deg}"""
     positive = (0,)
@@ -333,9 +337,8 @@ class GearMeshRipple(Effect):
         sine, cosine = sine_cosine(shape[0], view.angle)
         torque = shape[1] * shape[0] * nominal.drive(view)
         out = np.empty((2, len(torque)))
-        np.multiply(torque, cosine, out=out[0])
-        np.multiply(torque, sine, out=out[1])
-        np.negative(out[0], out=out[0])
+        out[0] = np.negative(np.multiply(torque, cosine, out=out[0]), out=out[0])
+        out[1] = np.multiply(torque, sine, out=out[1])
         return out
 
 
@@ -440,6 +443,7 @@ class CouplingHysteresis(Clearance, Effect):
         without motion of the joint: with hysteresis, loops of deflection over torque appear at any
         constant torque, with a gap at zero torque only, with a spring never."""
     separation = Separation.LOADS_AND_SPEEDS
+    not_simulated = ONE_BODY
     sentence = """the coupling lags behind its torque by a loop of {deflection_rad:deg} that closes
         over {torque_Nm:N m}"""
     refine = {2: 0.0, 0: 0.0, 1: 0.0, 3: 0.5 * TWIST_COUNTS[1]}

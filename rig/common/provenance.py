@@ -5,18 +5,19 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from identification.numerics.arrays import finite
 from rig.common.places import is_folder, require_plain
 
 if TYPE_CHECKING:
     # At run time this import would load numba, for which `rig --help` must not wait.
-    from identification.recording import Recording
+    from identification.recording import Dataset, Recording
 
 
 def sha256(content: bytes) -> str:
@@ -135,3 +136,10 @@ def heading(schema: str) -> dict[str, Any]:
         "versions": known,
         "created": utc_now().isoformat(timespec="seconds"),
     }
+
+
+def constants_of(dataset: Dataset) -> dict[str, Any]:
+    """Return the known constants of the bench, which the model of a result needs."""
+    bench = dataset.recordings[0].bench
+    left_out = ("motion", "gas_generator")
+    return {f.name: finite(getattr(bench, f.name)) for f in fields(bench) if f.name not in left_out}

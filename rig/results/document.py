@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import jinja2
 
 from identification.recording import Recording
-from rig.common.places import usable, write_json, write_text
+from rig.common.places import replacing, usable, write_json, write_text
 from rig.common.provenance import Provenance
 from rig.common.tables import table
 
@@ -271,9 +271,13 @@ def write_page(document: Document, file: Path) -> None:
         write_text(file, page(document))
 
 
-def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write text files into a folder, by their paths relative to the folder."""
+def write_texts(texts: Mapping[str, str | bytes], folder: Path) -> None:
+    """Write files into a folder, by their paths relative to the folder."""
     with usable(folder, "written", _ELSEWHERE):
         for name, text in texts.items():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            write_text(folder / name, text)
+            if isinstance(text, str):
+                write_text(folder / name, text)
+            else:
+                with replacing(folder / name) as draft:
+                    draft.write_bytes(text)

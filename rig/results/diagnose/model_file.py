@@ -19,7 +19,7 @@ from identification.numerics.spread import Spread
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, constants_of
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
@@ -36,6 +36,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
         **provenance.record(DIAGNOSE_SCHEMA),
         **found.to_dict(),
         "motion": dataset.recordings[0].bench.motion,
+        "constants": constants_of(dataset),
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
     }

@@ -24,7 +24,7 @@ from identification.recording import Dataset, RecordingError
 from identification.result import Identification, by_name
 from rig.common.errors import InputError
 from rig.common.places import is_folder
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, constants_of
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
@@ -219,6 +219,7 @@ def outcome_record(outcome: Outcome) -> dict[str, Any]:
     record = identification_record(first, outcome.provenance)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     record["partial"] = partial_names(outcome.dataset)
+    record["constants"] = constants_of(outcome.dataset)
     if others:
         record["compared"] = [identification_record(r, outcome.provenance) for r in others]
     if outcome.ladder:
