@@ -63,6 +63,9 @@ class ChangeTest:
         errors: Standard errors in the order of time, shape (n,), n at least :data:`LEAST_RUNS`,
             above 0.
         rng: Random generator for the simulated distributions of the statistics without change.
+
+    Raises:
+        ValueError: There are fewer values, or an error is not positive.
     """
 
     def __init__(self, errors: Array, rng: np.random.Generator) -> None:

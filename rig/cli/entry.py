@@ -64,7 +64,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.investigate:design",
         "Propose the next experiment for recorded runs; run nothing.",
     ),
-    "model": ("rig.cli.commands.model:model", "Write a fitted model for other tools."),
+    "model": ("rig.cli.commands.diagnose:model", "Write a fitted model for other tools."),
     "effects": ("rig.cli.commands.diagnose:effects", "List the effects of a diagnosis."),
     "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (
