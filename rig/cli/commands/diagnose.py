@@ -1,4 +1,4 @@
-"""``rig diagnose``, ``rig effects`` and ``rig model``: missing physics, the catalogue, the model for
+"""``rig diagnose``, ``rig effects`` and ``rig model``: missing physics, its catalogue, the model for
 other tools.
 """
 
