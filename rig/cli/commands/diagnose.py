@@ -1,6 +1,4 @@
-"""``rig diagnose``, ``rig effects`` and ``rig model``: missing physics, its catalogue, the model for
-other tools.
-"""
+"""``rig diagnose``, ``rig effects``, ``rig model``: missing physics, and models for other tools."""
 
 from __future__ import annotations
 
