@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identification.numerics.arrays import finite
 from rig.common.places import is_folder, require_plain
 
 if TYPE_CHECKING:
@@ -140,6 +139,8 @@ def heading(schema: str) -> dict[str, Any]:
 
 def constants_of(dataset: Dataset) -> dict[str, Any]:
     """Return the known constants of the bench, which the model of a result needs."""
+    from identification.numerics.arrays import finite
+
     bench = dataset.recordings[0].bench
     left_out = ("motion", "gas_generator")
     return {f.name: finite(getattr(bench, f.name)) for f in fields(bench) if f.name not in left_out}

@@ -266,7 +266,7 @@ def test_the_path_follows_the_length(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[bool] = []
-    monkeypatch.setattr(default, "identify", lambda _, in_pieces: taken.append(in_pieces))
+    monkeypatch.setattr(default, "identify", lambda _, in_pieces, rng: taken.append(in_pieces))
     dataset = Dataset(practical_pair[:1])
     default.identify_any_length(dataset)
     monkeypatch.setattr(default, "LONG_SAMPLES", 1000)

@@ -8,8 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError
-from drivers.mock.plant.effects.own import injected, user_module
 from identification.effects import EFFECTS, with_own
 from identification.effects.effect import Effect
 from identification.effects.own import EffectError
@@ -58,6 +56,10 @@ def read_effects(path: Path | None) -> OwnFile:
     """
     if path is None:
         return NO_FILE
+    # Imported late: a diagnosis without such a file needs no driver.
+    from drivers.errors import ConfigurationError
+    from drivers.mock.plant.effects.own import injected, user_module
+
     try:
         digest = sha256_file(path)
         module = user_module(path)
