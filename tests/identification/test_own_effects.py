@@ -35,7 +35,10 @@ def view() -> View:
     bench = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095, lever_ratio=10.0)
     angle = 0.3 * np.sin(3.0 * TIME) + 0.1 * np.sin(11.0 * TIME)
     channels = {"time": TIME, "angle": angle, "current": 4.0 * np.cos(3.0 * TIME)}
-    return views([Recording("r", channels, bench, "loaded", 20.0)], 50.0)[0]
+    return views(
+        [Recording(name="r", channels=channels, bench=bench, stage="loaded", weight_mass=20.0)],
+        50.0,
+    )[0]
 
 
 def defined(tmp_path: Path, text: str) -> dict[str, object]:

@@ -123,7 +123,7 @@ def test_a_model_that_no_machine_can_have_is_refused() -> None:
         ({}, ""),
         ({"current_A": 4.5}, "current"),
         ({"torque_N_m": 13.5}, "torque"),
-        ({"speed_deg_s": 34.0}, "speed"),
+        ({"speed_deg_s": 40.0}, "speed"),
         ({"angle_max_deg": 11.0}, "angle"),
         ({"following_error_deg": 0.05}, "following"),
         ({"supply_min_V": 61.0, "supply_max_V": 72.0}, "supply"),
