@@ -441,7 +441,8 @@ def test_the_page_of_a_rejected_run_draws_and_runs_no_foreign_script(
 ) -> None:
     sequence = where.sequence("strict", SHORT_S)
     sequence.write_text(sequence.read_text() + "acceptance:\n  - tracking error rms < 0.0001 deg\n")
-    child = where.run(sequence, "--yes")
+    # In real time, so that also a busy console finds the program before its end.
+    child = where.run(sequence, "--yes", "--realtime")
     page = opened()
     expect(page.locator("#headline")).to_have_text("REJECTED")
     expect(page.locator("#headline")).to_have_class("bad")
