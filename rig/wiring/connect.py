@@ -22,7 +22,7 @@ from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
-from drivers.errors import DeviceError, LinkError
+from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import (
     SimulatedBench,
@@ -35,6 +35,8 @@ from drivers.mock.bench import (
 from drivers.mock.drive import Rating, SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.makes import described_drive
+from drivers.mock.plant.hosted import FmuPlant, PlantFile, python_plant
+from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.wires.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
@@ -242,7 +244,8 @@ def _wire(
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
-    ignite = None if simulated is None or pressure is None else simulated.machine.ignite
+    machine = None if simulated is None or pressure is None else simulated.machine
+    ignite = machine.ignite if isinstance(machine, SimulatedMachine) else None
     return Devices(
         link,
         servo,
@@ -375,7 +378,15 @@ def _simulated_bench(
         )
     )
     simulated = simulated_bench(
-        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, traits
+        bench.mock,
+        seed,
+        bitrate,
+        servo.node,
+        encoder_node,
+        transmitter_node,
+        rating,
+        traits,
+        _plant(document),
     )
     return simulated, simulated.clock if attach is None else attach(simulated)
 
@@ -418,14 +429,35 @@ def _simulated_dbc(
     encoder = document.value.encoder
     assert isinstance(encoder, EncoderSection)
     kind = servo.simulated_drive
+    plant = _plant(document)
     if kind is None:
-        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node)
+        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node, plant)
         return house, house.clock if attach is None else attach(house)
     if attach is not None:
         text = "fault schedules work with the drive of `practical_dbc` only; leave this key out"
         raise InputError(document.problem(("servo", "simulated_drive"), text))
-    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
+    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node, plant)
     return bench, bench.clock
+
+
+def _plant(document: Document[Bench]) -> PlantFile | None:
+    """Load the machine that takes the place of the own one; InputError if it cannot be used."""
+    mock, path = document.value.mock, plant_file(document)
+    if mock is None or path is None:
+        return None
+    name = mock.plant.get("class")
+    try:
+        return PlantFile(FmuPlant(path), path) if name is None else python_plant(path, name)
+    except ConfigurationError as error:
+        raise InputError(document.problem(("mock", "plant"), str(error))) from error
+
+
+def plant_file(document: Document[Bench]) -> Path | None:
+    """Return the file of the machine that takes the place of the own one, or None."""
+    bench = document.value
+    if bench.mock is None or not bench.mock.plant or not bench.simulated:
+        return None
+    return document.path.parent / (bench.mock.plant.get("fmu") or bench.mock.plant["python"])
 
 
 def never_opened() -> NoReturn:
@@ -453,9 +485,13 @@ def nominal_of(bench: Bench) -> Nominal:
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the EDS and DBC files of the devices by name; InputError if a real one has none."""
+    """Return the EDS and DBC files of the devices, and the file of a simulated machine, by name;
+    InputError if a real device has none.
+    """
     bench = document.value
     found = {}
+    if (plant := plant_file(document)) is not None:
+        found["mock.plant"] = plant
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:

@@ -204,6 +204,9 @@ class Machine:
         warming_s: Time constant of the rise of the reported temperature.
         effects: Injected effects, which the recorded bench file does not state: values of the
             parameters of each effect. [Catalogue](effects.md).
+        plant: A machine of one's own in place of this one, from a file that is named relative to
+            the bench file: `{python: FILE, class: NAME}` or `{fmu: FILE}`. Motor, gear, friction
+            and load are then its own; the drive assumes what `machine` states.
     """
 
     motor: Motor = field(default_factory=Motor)
@@ -217,3 +220,4 @@ class Machine:
     warming_K: float = 0.0
     warming_s: float = 600.0
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    plant: Mapping[str, str] = field(default_factory=dict)
