@@ -104,7 +104,7 @@ def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
     source: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("short.yaml").write_text(SHORT.replace("frequency_Hz: 2", "frequency_Hz: 1"))
-    machine("if self.steps > 20_000 and voltage_V > 1.0: 1 / 0")
+    machine("if self.steps > 25_000 and voltage_V > 1.0: 1 / 0")
     bench({"python": "machine.py", "class": "Mine"}, source)
     lines = Path("benches/machine.py").read_text().splitlines()
     line = next(n for n, text in enumerate(lines, 1) if "1 / 0" in text)
@@ -116,7 +116,7 @@ def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
     assert place in record.message
     assert record.de_energised is True
     assert "ZeroDivisionError" in record.message
-    assert len(read_run(Path("out/recording.mcap")).samples["time"]) > 100
+    assert len(read_run(Path("out/recording.mcap")).samples["time"]) > 20
 
 
 def test_a_stopped_run_goes_on_with_the_same_file_only(capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,7 +163,7 @@ def _broken() -> None:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (_lacking, "machine.py: FileNotFoundError"),
+        (_lacking, "machine.py: cannot be read"),
         (_broken, "machine.py:1: SyntaxError"),
     ],
 )

@@ -6,7 +6,6 @@ loops, limits, power stage, encoders and faults of the own simulated machine, by
 
 from __future__ import annotations
 
-import inspect
 import math
 import reprlib
 import shutil
@@ -278,7 +277,8 @@ def python_plant(path: Path, name: str) -> PlantFile:
         raise ConfigurationError(f"{path}: has no class {name}; {has}")
     lacking = [text for n, text in _METHODS.items() if not callable(getattr(plant, n, None))]
     if lacking:
-        line = inspect.getsourcelines(type(plant))[1]
+        lines = path.read_text(encoding="utf-8").splitlines()
+        line = next((n for n, t in enumerate(lines, 1) if t.startswith(f"class {name}")), 1)
         raise ConfigurationError(f"{path}:{line}: class {name} lacks {' and '.join(lacking)}")
     return PlantFile(plant, path)
 
