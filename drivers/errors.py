@@ -72,3 +72,9 @@ class LimitError(ConfigurationError):
 
 class NotDescribedError(ConfigurationError):
     """The EDS file of the device does not contain the object."""
+
+
+class MachineError(DeviceError):
+    """The machine behind a simulated drive, a file of the user, raised an error or returned no
+    valid values.
+    """

@@ -7,16 +7,19 @@ noise. A new bench is at rest at angle 0, with power off; its devices have boote
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, Generic, TypeVar
 
 import numpy as np
 
 from drivers.clock import SimulatedClock
+from drivers.errors import MachineError
 from drivers.mock.can_drives import CAN_DRIVES, CanDrive, CanDriveKind
 from drivers.mock.dbc_drive import DbcDrive
 from drivers.mock.drive import Rating, SimulatedDrive
 from drivers.mock.encoder import SimulatedEncoder, SimulatedTransmitter
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.hosted import HostedMachine, PlantFile
+from drivers.mock.plant.machine import DrivenMachine, SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.sampler import Sampler
 from drivers.mock.traits import Traits
@@ -35,7 +38,7 @@ class Parts(Generic[D]):
 
     clock: SimulatedClock
     bus: SimulatedBus
-    machine: SimulatedMachine
+    machine: DrivenMachine
     drive: D
     encoder: SimulatedEncoder
     sampler: Sampler
@@ -69,6 +72,7 @@ def simulated_bench(
     transmitter_node: int | None = None,
     rating: Rating | None = None,
     traits: Traits | None = None,
+    plant: PlantFile | None = None,
 ) -> SimulatedBench:
     """Build a bench with a CANopen drive, whose devices are in PRE-OPERATIONAL.
 
@@ -82,8 +86,13 @@ def simulated_bench(
             one.
         rating: Rated values of the drive; a rated current of 15 A unless given.
         traits: Differences of the drive from the usual simulated drive.
+        plant: Another machine behind the drive, of which ``machine`` then states what the drive
+            assumes; an error in it is raised where the simulated time advances.
+
+    Raises:
+        MachineError: The other machine fails before the devices are built.
     """
-    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate, plant)
     offset_us = _offset_us(offsets)
     drive = SimulatedDrive(bus, clock, drive_node, sampler, offset_us, rating, traits)
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
@@ -102,9 +111,10 @@ def simulated_dbc_bench(
     seed: int,
     bitrate: int = 1_000_000,
     encoder_node: int = ENCODER_NODE,
+    plant: PlantFile | None = None,
 ) -> SimulatedDbcBench:
     """Build a bench with the drive of ``dbc_drive.dbc``; see :func:`simulated_bench`."""
-    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate, plant)
     drive = DbcDrive(bus, clock, sampler, _offset_us(offsets))
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
     drive.boot()
@@ -113,10 +123,15 @@ def simulated_dbc_bench(
 
 
 def simulated_can_bench(
-    kind: CanDriveKind, machine: constants.Machine, seed: int, bitrate: int, encoder_node: int
+    kind: CanDriveKind,
+    machine: constants.Machine,
+    seed: int,
+    bitrate: int,
+    encoder_node: int,
+    plant: PlantFile | None = None,
 ) -> SimulatedCanBench:
     """Build a bench with a drive of this kind; see :func:`simulated_bench`."""
-    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate, plant)
     drive = CAN_DRIVES[kind](bus, clock, sampler)
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
     drive.boot()
@@ -125,11 +140,27 @@ def simulated_can_bench(
 
 
 def _basis(
-    machine: constants.Machine, seed: int, bitrate: int
+    machine: constants.Machine, seed: int, bitrate: int, plant: PlantFile | None
 ) -> tuple[np.random.Generator, SimulatedClock, SimulatedBus, Sampler]:
     noise, offsets = np.random.default_rng(seed).spawn(2)
     clock = SimulatedClock()
-    return offsets, clock, SimulatedBus(clock, bitrate), Sampler(SimulatedMachine(machine, noise))
+    driven: DrivenMachine
+    if plant is None:
+        driven = SimulatedMachine(machine, noise)
+    else:
+        # An error is raised after the present event, so that bus and drive stay intact.
+        driven = HostedMachine(
+            machine,
+            noise,
+            plant,
+            seed,
+            lambda error: clock.call_at(clock.now_ns(), partial(_raise, error)),
+        )
+    return offsets, clock, SimulatedBus(clock, bitrate), Sampler(driven)
+
+
+def _raise(error: MachineError) -> None:
+    raise error
 
 
 def _offset_us(offsets: np.random.Generator) -> int:

@@ -32,7 +32,7 @@ from drivers.mock.canopen.dictionary import (
     key,
 )
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
-from drivers.mock.plant.machine import Reading, SimulatedMachine
+from drivers.mock.plant.machine import DrivenMachine, Reading
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.sampler import Sampler, encoder_resolution
 from drivers.mock.traits import OwnObjects, Traits
@@ -213,7 +213,7 @@ class Mover:
         self.demand = 0.0
         self.acknowledged = False
         self.sampler = sampler
-        self._machine: SimulatedMachine = sampler.machine
+        self._machine: DrivenMachine = sampler.machine
         self.clock = clock
         self.values = values
         self.counts_per_rad = counts_per_rad

@@ -15,7 +15,7 @@ from drivers.epos.frames import DLE, ERROR, Opcode, encode
 from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import SimulatedDrive
-from drivers.mock.plant.machine import Loop, SimulatedMachine
+from drivers.mock.plant.machine import DrivenMachine, Loop
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import Command
 from drivers.mock.wires.bus import SimulatedBus
@@ -307,7 +307,7 @@ def reverse(encoder: Sensor) -> None:
     encoder.distort = lambda counts: -counts
 
 
-def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
+def on_motor_shaft(encoder: Sensor, machine: DrivenMachine) -> None:
     """Count the motor's turns, as an encoder that is mounted on the other end of the gear."""
     per_turn = encoder.counts_per_turn / (2.0 * math.pi) * machine.constants.motor.gear_ratio
     encoder.distort = lambda _: math.floor(machine.truth().angle_rad * per_turn)

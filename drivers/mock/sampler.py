@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.machine import Reading, SimulatedMachine
+from drivers.mock.plant.machine import DrivenMachine, Reading
 from drivers.mock.plant.parts import constants
 
 
@@ -19,7 +19,7 @@ class Sampler:
         time_ns: Simulated time up to which the machine is integrated.
     """
 
-    def __init__(self, machine: SimulatedMachine, now_ns: int = 0) -> None:
+    def __init__(self, machine: DrivenMachine, now_ns: int = 0) -> None:
         self.machine = machine
         self.time_ns = now_ns
         self._loop_ns = machine.loop_ns

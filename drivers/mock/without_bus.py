@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.mock.drive import Rating
 from drivers.mock.encoder import PRESSURE_UNIT_PA, transmitted
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import DrivenMachine
 from drivers.mock.sampler import encoder_resolution
 
 SLOW_EVERY = 10
@@ -45,7 +45,7 @@ class Samples(NamedTuple):
 
 
 def record(
-    machine: SimulatedMachine,
+    machine: DrivenMachine,
     command_rad: Channel,
     cycle_s: float = 0.001,
     slow_phase: int = 0,
@@ -54,7 +54,9 @@ def record(
     """Record an energised machine that follows one joint angle per cycle, from its present state.
 
     Args:
-        machine: The machine with power on; the limits of its control loops apply.
+        machine: The machine with power on, the own one or another
+            (:class:`drivers.mock.plant.hosted.HostedMachine`); the limits of its control loops
+            apply.
         command_rad: Joint angle sent with each SYNC, shape (n,).
         cycle_s: Control cycle, s; a whole number of loop periods.
         slow_phase: Cycles since the last frame with supply voltage and temperature.
@@ -62,6 +64,7 @@ def record(
 
     Raises:
         ValueError: The cycle is not a whole number of loop periods.
+        MachineError: Another machine fails.
     """
     gear = machine.constants.motor.gear_ratio
     increments, turns = encoder_resolution(machine.constants)

@@ -39,7 +39,12 @@ from rig.config.configuration import (
 )
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
 from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
-from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
+from rig.config.simulated_machine import (
+    follow_bench,
+    hidden_problems,
+    plant_problems,
+    require_buildable,
+)
 
 
 class LimitsSection(Schema):
@@ -332,6 +337,11 @@ class Bench(Schema):
                 "a simulated bench with a servo of kind dbc has no pressure transmitter; remove "
                 "`pressure`"
             )
+        if self.simulated and self.mock is not None and self.mock.plant:
+            raise ValueError(
+                "a simulated bench with a machine of its own (`mock.plant`) has no gas generator; "
+                "remove `pressure`"
+            )
         if self.gas_generator is None:
             raise ValueError(
                 "`pressure` needs `gas_generator`, because the contact force is computed from the "
@@ -452,6 +462,9 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
         bench = bench.model_copy(update={"mock": mock})
         document = dataclasses.replace(document, value=bench)
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
+    if bench.mock is not None:
+        found = plant_problems(bench.mock.plant, document.states)
+        document.require((("mock", *path), text) for path, text in found)
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
         document.require(_unreported(bench))

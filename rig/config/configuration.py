@@ -56,6 +56,15 @@ class Document(Generic[M]):
             value = node.plain()
         return _format(self.path, mark, _dotted(loc), message, value)
 
+    def states(self, *loc: str) -> bool:
+        """Return whether the file itself has a key, and not only its completion by the program."""
+        node = self._root
+        for name in loc:
+            if name not in node.keys or not isinstance(node.value, dict):
+                return False
+            node = node.value[name]
+        return True
+
     def other_files(self) -> list[Path]:
         """Return the other files from which values were read."""
         found: dict[Path, None] = {}

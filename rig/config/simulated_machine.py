@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +23,7 @@ from drivers.mock.plant.effects.pack import problems, too_light
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
 from rig.common.yaml_tree import Mark, Node
+from rig.config.configuration import nearest
 
 _PAPER_TORQUE_N_M: Final = 75.0
 """Torque limit, N m, of a bench whose default friction is the paper's, without scaling."""
@@ -270,6 +271,37 @@ def hidden_problems(machine: Machine | None) -> Iterator[tuple[tuple[str, ...], 
         yield ("effects", *path), text
     if not found and (light := too_light(machine)):
         yield ("motor", "rotor_inertia_kg_m2"), light
+
+
+_OF_THE_OWN: Final = ("motor", "joint", "gas", "effects", "steps_per_loop")
+
+
+def plant_problems(
+    plant: Mapping[str, str], states: Callable[..., bool]
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield what is wrong with the section `mock.plant` of a bench file, of which ``states``
+    returns whether it has a key, given as the names that lead to it.
+    """
+    if not plant:
+        return
+    known = ["fmu"] if "fmu" in plant else ["python", "class"]
+    for name in plant:
+        if name not in known:
+            also = "; give either `python` and `class`, or `fmu`"
+            yield ("plant", name), f"unknown key; {nearest(name, known)}{also}"
+    for name in known:
+        if not plant.get(name):
+            yield (
+                ("plant", name),
+                "missing; write {python: FILE, class: NAME} or {fmu: FILE}",
+            )
+    for name in _OF_THE_OWN:
+        if states("mock", name):
+            yield (
+                (name,),
+                "describes the program's own machine, but `plant` puts another in its place; "
+                "remove this key: what is believed of the other machine stands in `machine`",
+            )
 
 
 _BISECTIONS = 60

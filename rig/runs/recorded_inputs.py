@@ -116,7 +116,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
 
     The run folder does not contain the true parameters. They are read from the bench file of the
     run or from a packaged file of this name, if the file has the recorded SHA-256. The result is
-    None for a bench with injected effects.
+    None for a bench with injected effects or another machine.
     """
     if not is_file(source / RUN_FILE):
         return None
@@ -135,5 +135,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
             except InputError:
                 # This version cannot read the bench file, but can still identify the recording.
                 return None
-            return None if machine is None or machine.effects else true_parameters(machine)
+            if machine is None or machine.effects or machine.plant:
+                return None
+            return true_parameters(machine)
     return None

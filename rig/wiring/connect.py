@@ -36,6 +36,8 @@ from drivers.mock.drive import Rating, SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.makes import described_drive
 from drivers.mock.plant.effects.own import own_torques
+from drivers.mock.plant.hosted import FmuPlant, PlantFile, python_plant
+from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.wires.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
@@ -243,7 +245,8 @@ def _wire(
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
-    ignite = None if simulated is None or pressure is None else simulated.machine.ignite
+    machine = None if simulated is None or pressure is None else simulated.machine
+    ignite = machine.ignite if isinstance(machine, SimulatedMachine) else None
     return Devices(
         link,
         servo,
@@ -377,7 +380,15 @@ def _simulated_bench(
         )
     )
     simulated = simulated_bench(
-        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, traits
+        bench.mock,
+        seed,
+        bitrate,
+        servo.node,
+        encoder_node,
+        transmitter_node,
+        rating,
+        traits,
+        _plant(document),
     )
     return simulated, simulated.clock if attach is None else attach(simulated)
 
@@ -421,13 +432,14 @@ def _simulated_dbc(
     assert isinstance(encoder, EncoderSection)
     _require_own_effects(document, machine)
     kind = servo.simulated_drive
+    plant = _plant(document)
     if kind is None:
-        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node)
+        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node, plant)
         return house, house.clock if attach is None else attach(house)
     if attach is not None:
         text = "fault schedules work with the drive of `practical_dbc` only; leave this key out"
         raise InputError(document.problem(("servo", "simulated_drive"), text))
-    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
+    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node, plant)
     return bench, bench.clock
 
 
@@ -437,6 +449,26 @@ def _require_own_effects(document: Document[Bench], machine: constants.Machine) 
         own_torques(machine)
     except ConfigurationError as error:
         raise InputError(document.problem(("mock", "effects_file"), str(error))) from error
+
+
+def _plant(document: Document[Bench]) -> PlantFile | None:
+    """Load the machine that takes the place of the own one; InputError if it cannot be used."""
+    mock, path = document.value.mock, plant_file(document)
+    if mock is None or path is None:
+        return None
+    name = mock.plant.get("class")
+    try:
+        return PlantFile(FmuPlant(path), path) if name is None else python_plant(path, name)
+    except ConfigurationError as error:
+        raise InputError(document.problem(("mock", "plant"), str(error))) from error
+
+
+def plant_file(document: Document[Bench]) -> Path | None:
+    """Return the file of the machine that takes the place of the own one, or None."""
+    bench = document.value
+    if bench.mock is None or not bench.mock.plant or not bench.simulated:
+        return None
+    return document.path.parent / (bench.mock.plant.get("fmu") or bench.mock.plant["python"])
 
 
 def never_opened() -> NoReturn:
@@ -464,9 +496,13 @@ def nominal_of(bench: Bench) -> Nominal:
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the EDS and DBC files of the devices by name; InputError if a real one has none."""
+    """Return the EDS and DBC files of the devices, and the file of a simulated machine, by name;
+    InputError if a real device has none.
+    """
     bench = document.value
     found = {}
+    if (plant := plant_file(document)) is not None:
+        found["mock.plant"] = plant
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:

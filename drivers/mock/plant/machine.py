@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Final, Literal, NamedTuple, get_args
 
@@ -20,34 +21,6 @@ from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.parts.compiled import Vector, compiled
-from drivers.mock.plant.parts.constants import Loops
-
-
-def close_loops(d: Vector, cascade: Loops, position: bool, speed: bool) -> None:
-    """Close position and speed loop, or open them."""
-    d[loops.POSITION_GAIN] = cascade.position_gain if position else 0.0
-    d[loops.VELOCITY_GAIN] = (cascade.velocity_gain_N_m_s_rad or 0.0) if speed else 0.0
-    d[loops.FEEDFORWARD] = cascade.velocity_feedforward if position else 1.0
-
-
-def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
-    """Command a joint speed until the next command; the position loop stays open."""
-    if s[loops.MODE] != loops.OFF:
-        s[loops.MODE] = loops.TRACK
-        s[loops.TARGET_LEFT] = math.inf
-        s[loops.TARGET_STEP] = speed_rad_s * d[loops.LOOP_S]
-
-
-def take_over(s: Vector, d: Vector, cascade: Loops) -> bool:
-    """Close all loops of a drive in motion, and return whether one was open."""
-    if d[loops.POSITION_GAIN] == cascade.position_gain:
-        return False
-    s[loops.TARGET] = s[loops.MEASURED]
-    if d[loops.VELOCITY_GAIN] == 0.0:
-        s[loops.TARGET_STEP] = s[loops.VELOCITY_ESTIMATE] * d[loops.LOOP_S]
-        s[loops.VELOCITY_INTEGRAL] = 0.0
-    close_loops(d, cascade, position=True, speed=True)
-    return True
 
 
 def friction_vector(joint: constants.Joint, contact_force_N: float) -> NDArray[np.float64]:
@@ -167,7 +140,7 @@ def record_cycles(
 
 Loop = Literal["position", "velocity", "phases"]
 LOOPS: Final[tuple[Loop, ...]] = get_args(Loop)
-"""The parts of a drive that may have the wrong sign, see :meth:`SimulatedMachine.reverse`."""
+"""The parts of a drive that may have the wrong sign, see :meth:`DrivenMachine.reverse`."""
 _NOISE_BLOCK = 1 << 16
 _REFERENCE_MASS_KG = 30.6
 _NO_PATH = np.zeros(0)
@@ -217,21 +190,243 @@ class Extremes:
         self.high_rad = max(self.high_rad, truth.angle_rad)
 
 
-class SimulatedMachine:
-    """Motor, gear, friction, lever with weights and the control loops of the drive, integrated with
-    a constant step.
+class DrivenMachine(ABC):
+    """A machine with the drive around it: control loops, limits, power stage, and the sensors of
+    drive and joint.
 
-    The machine starts at rest at angle 0, with the power off and no weight on the lever. With exact
-    sensors (zero counts) the loops use the exact angle, and the interface states it in counts of 1
-    microradian of the joint.
+    A subclass moves the machine. The loops of :mod:`drivers.mock.plant.parts.loops` run on the
+    state vector ``_s`` and the drive vector ``_d``, whatever moves. The machine starts at rest with
+    the power off and no weight on the lever. With exact sensors (zero counts) the loops use the
+    exact angle, and the interface states it in counts of 1 microradian of the joint.
 
     Attributes:
+        constants: Constants of the drive and its sensors; those of motor and joint are the true
+            ones, or those that the drive assumes of another machine.
+        loop_ns: Period of the control loops, ns.
         motor_count_rad: Joint angle of one count of the motor encoder, rad.
         joint_count_rad: Joint angle of one count of the joint encoder, rad.
         stuck: Whether the power stage is defective and stays on, whatever it is told.
     """
 
     stuck = False
+
+    def __init__(self, machine: constants.Machine, rng: np.random.Generator) -> None:
+        self.constants = machine
+        self._cascade = machine.loops
+        self._marked: Extremes | None = None
+        self.loop_ns = round(1e9 / machine.loops.rate_Hz)
+        self._rng = rng
+        self._noise = rng.standard_normal(_NOISE_BLOCK)
+        self._noise_at = 0
+        self._s = np.zeros(loops.STATE_SIZE)
+        self._d = drive_vector(machine)
+        self.motor_count_rad = float(self._d[loops.COUNT]) or 1e-6
+        self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
+
+    @abstractmethod
+    def hang(self, mass_kg: float) -> None:
+        """Hang ``mass_kg`` on the lever."""
+
+    @abstractmethod
+    def truth(self) -> Truth:
+        """Return the exact state."""
+
+    @abstractmethod
+    def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
+        """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
+        the sensors and set the target.
+        """
+
+    @abstractmethod
+    def _advance(self, count: int) -> None:
+        """Move the machine for ``count`` loop periods."""
+
+    @abstractmethod
+    def _sensed(self) -> tuple[float, float, float, float, float]:
+        """Return what the sensors measure: angles of the motor over the gear ratio and of the
+        joint, rad; supply voltage, V; running time, s; pressure, Pa.
+        """
+
+    def limit_current(self, current_A: float) -> None:
+        """Set the current limit of the drive, which is at most that of the control loops."""
+        self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
+
+    def power(self, on: bool) -> None:
+        """Switch the power stage; when it is switched on, the motor holds its position."""
+        s = self._s
+        if on and s[loops.MODE] == loops.OFF:
+            s[loops.MODE] = loops.TRACK
+            s[loops.TARGET] = s[loops.MEASURED]
+            s[loops.TARGET_LEFT] = 0.0
+            s[loops.TARGET_STEP] = 0.0
+        elif not on and not self.stuck:
+            s[loops.MODE] = loops.OFF
+            s[loops.OFFSET] = 0.0
+
+    @property
+    def powered(self) -> bool:
+        """Whether the power stage is on."""
+        return bool(self._s[loops.MODE] != loops.OFF)
+
+    def control(self, position: bool, speed: bool) -> None:
+        """Close or open the drive's position and speed loops before the joint moves."""
+        d, cascade = self._d, self._cascade
+        d[loops.POSITION_GAIN] = cascade.position_gain if position else 0.0
+        d[loops.VELOCITY_GAIN] = (cascade.velocity_gain_N_m_s_rad or 0.0) if speed else 0.0
+        d[loops.FEEDFORWARD] = cascade.velocity_feedforward if position else 1.0
+
+    def reverse(self, loop: Loop) -> None:
+        """Give one loop of the drive the wrong sign, or the right sign again.
+
+        The loop ``phases`` is the winding: with two phases swapped, each current gives the opposite
+        torque, while the loop of the current itself still works.
+        """
+        d, cascade = self._d, self._cascade
+        gain = cascade.velocity_gain_N_m_s_rad
+        if loop == "phases":
+            d[loops.TORQUE_PER_AMPERE] *= -1.0
+            d[loops.EMF_PER_SPEED] *= -1.0
+        # The current command is a torque over the torque constant, whose sign the drive does not
+        # know; one gain has to change its sign with it.
+        if loop == "position" or gain is None:
+            d[loops.POSITION_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
+        else:
+            d[loops.VELOCITY_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=-gain)
+
+    def spin(self, speed_rad_s: float) -> None:
+        """Command a joint speed until the next command, without the position loop."""
+        s = self._s
+        if s[loops.MODE] != loops.OFF:
+            s[loops.MODE] = loops.TRACK
+            s[loops.TARGET_LEFT] = math.inf
+            s[loops.TARGET_STEP] = speed_rad_s * self._d[loops.LOOP_S]
+
+    def track(self, target_counts: float, over_ns: int) -> None:
+        """Follow ``target_counts`` (motor encoder), reached linearly within ``over_ns``."""
+        s = self._s
+        if s[loops.MODE] == loops.OFF:
+            return
+        s[loops.MODE] = loops.TRACK
+        left = max(1, round(over_ns / self.loop_ns))
+        s[loops.TARGET_LEFT] = left
+        s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
+
+    def feed(self, current_A: float) -> None:
+        """Add a current to the command of the loops while the machine follows targets."""
+        if self._s[loops.MODE] == loops.TRACK:
+            self._s[loops.OFFSET] = current_A
+
+    def brake(self, deceleration_rad_s2: float) -> None:
+        """Reduce the commanded joint speed to zero, then hold the position (quick stop)."""
+        s, d = self._s, self._d
+        if s[loops.MODE] == loops.OFF:
+            return
+        measured_step = s[loops.VELOCITY_ESTIMATE] * d[loops.LOOP_S]
+        if d[loops.POSITION_GAIN] != self._cascade.position_gain:
+            # A loop is open; the ramp needs all of them.
+            s[loops.TARGET] = s[loops.MEASURED]
+            if d[loops.VELOCITY_GAIN] == 0.0:
+                s[loops.TARGET_STEP] = measured_step
+                s[loops.VELOCITY_INTEGRAL] = 0.0
+            self.control(position=True, speed=True)
+        elif s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
+            # The last target is reached, and the ramp starts at the measured speed.
+            s[loops.TARGET_STEP] = measured_step
+        s[loops.MODE] = loops.BRAKE
+        s[loops.OFFSET] = 0.0
+        s[loops.BRAKE_STEP] = deceleration_rad_s2 * d[loops.LOOP_S]
+
+    def advance(self, duration_ns: int) -> None:
+        """Integrate for a whole number of loop periods.
+
+        Raises:
+            ValueError: ``duration_ns`` is not a whole number of loop periods.
+        """
+        self._advance(self._loops_in(duration_ns))
+        if self._marked is not None:
+            self._marked.take(self.truth())
+
+    def mark(self) -> Extremes:
+        """Return the extremes of the motion from now on, which further steps update."""
+        truth = self.truth()
+        self._marked = Extremes(abs(truth.velocity_rad_s), truth.angle_rad, truth.angle_rad)
+        return self._marked
+
+    def _loops_in(self, duration_ns: int) -> int:
+        count, rest = divmod(duration_ns, self.loop_ns)
+        if rest or count < 0:
+            raise ValueError(
+                f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns"
+            )
+        return count
+
+    def _take_noise(self, count: int) -> NDArray[np.float64]:
+        """Return the next noise samples, as single loop periods would draw them."""
+        left = self._noise[self._noise_at :]
+        if count <= len(left):
+            self._noise_at += count
+            return left[:count]
+        more = -(-(count - len(left)) // _NOISE_BLOCK) * _NOISE_BLOCK
+        drawn = np.concatenate((left, self._rng.standard_normal(more)))
+        self._noise = drawn[-_NOISE_BLOCK:]
+        self._noise_at = _NOISE_BLOCK - (len(drawn) - count)
+        return drawn[:count]
+
+    def latch(self) -> Reading:
+        """Return the present sensor values, and start new means of current and voltage.
+
+        Raises:
+            ConfigurationError: With these constants the equations diverge, so that the angles are
+                NaN.
+        """
+        s = self._s
+        theta, seen, supply_V, run_s, pressure_Pa = self._sensed()
+        n = float(s[loops.SUM_LOOPS])
+        if n:
+            seconds = n * float(self._d[loops.LOOP_S])
+            noise = float(s[loops.SUM_NOISE]) / n if s[loops.MODE] != loops.OFF else 0.0
+            current = float(s[loops.SUM_CURRENT]) / seconds + noise
+            voltage = float(s[loops.SUM_VOLTAGE]) / seconds
+        else:
+            current = voltage = 0.0
+        s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0
+        following = 0.0
+        if s[loops.MODE] != loops.OFF:
+            following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self.motor_count_rad
+        try:
+            motor, joint = (
+                math.floor(theta / self.motor_count_rad),
+                math.floor(seen / self.joint_count_rad),
+            )
+        except (ValueError, OverflowError) as error:
+            raise ConfigurationError(
+                f"the equations of the simulated machine diverge (angle {theta:g} rad); look for a "
+                "value with a wrong exponent or unit in the section `mock` of the bench file"
+            ) from error
+        return Reading(
+            motor,
+            joint,
+            float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
+            current,
+            voltage,
+            supply_V,
+            float(self.temperature(run_s)),
+            following,
+            pressure_Pa,
+        )
+
+    def temperature(self, run_s: float | NDArray[np.float64]) -> Any:
+        """Return the temperature that the drive reports after this running time, deg C."""
+        machine = self.constants
+        return machine.temperature_C - machine.warming_K * np.expm1(-run_s / machine.warming_s)
+
+
+class SimulatedMachine(DrivenMachine):
+    """The simulated machine: motor, gear, friction and lever with weights, integrated with a
+    constant step. It starts at angle 0; without power the motor is open-circuit and coasts.
+    """
 
     def __init__(
         self, machine: constants.Machine, rng: np.random.Generator, any_size: bool = False
@@ -243,15 +438,7 @@ class SimulatedMachine:
             rng: Random generator of the noise of the current sensor.
             any_size: Whether effects may have sizes outside the ranges of the catalogue.
         """
-        self.constants = machine
-        self._cascade = machine.loops
-        self._marked: Extremes | None = None
-        self.loop_ns = round(1e9 / machine.loops.rate_Hz)
-        self._rng = rng
-        self._noise = rng.standard_normal(_NOISE_BLOCK)
-        self._noise_at = 0
-        self._s = np.zeros(loops.STATE_SIZE)
-        self._d = drive_vector(machine)
+        super().__init__(machine, rng)
         own = own_torques(machine)
         self._e = effect_vector(machine, any_size, [torque.name for torque in own])
         self._x = np.zeros(table.EXTRA_SIZE + STATES * len(own))
@@ -267,8 +454,6 @@ class SimulatedMachine:
         self._force_N: float | None = None
         self._fixed_inertia = 0.0
         self._load()
-        self.motor_count_rad = float(self._d[loops.COUNT]) or 1e-6
-        self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
         """Hang ``mass_kg`` on the lever: contact force (L3/L4) m_w g (eq. 17)."""
@@ -332,61 +517,14 @@ class SimulatedMachine:
             at_rest = p[friction.DM] + p[friction.MOMENT] * p[friction.DMU]
             self._x[table.FALLING] = 0.0 if of_speed else at_rest
 
-    def limit_current(self, current_A: float) -> None:
-        """Set the current limit of the drive, which is at most that of the control loops."""
-        self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
-
     def power(self, on: bool) -> None:
-        """Switch the power stage.
-
-        When the power is off, the motor is open-circuit and coasts. When the power is switched on,
-        the motor holds its position.
-        """
-        s = self._s
-        if on and s[loops.MODE] == loops.OFF:
-            s[loops.MODE] = loops.TRACK
-            s[loops.TARGET] = s[loops.MEASURED]
-            s[loops.TARGET_LEFT] = 0.0
-            s[loops.TARGET_STEP] = 0.0
+        """Switch the power stage; a recording starts when it is switched on."""
+        starts = on and not self.powered
+        super().power(on)
+        if starts:
             self._x[table.TIME] = 0.0
             self._x[table.RECORDING] += 1.0
             self._load()
-        elif not on and not self.stuck:
-            s[loops.MODE] = loops.OFF
-            s[loops.OFFSET] = 0.0
-
-    @property
-    def powered(self) -> bool:
-        """Whether the power stage is on."""
-        return bool(self._s[loops.MODE] != loops.OFF)
-
-    def control(self, position: bool, speed: bool) -> None:
-        """Close or open the drive's position and speed loops before the joint moves."""
-        close_loops(self._d, self._cascade, position, speed)
-
-    def reverse(self, loop: Loop) -> None:
-        """Give one loop of the drive the wrong sign, or the right sign again.
-
-        The loop ``phases`` is the winding: with two phases swapped, each current gives the opposite
-        torque, while the loop of the current itself still works.
-        """
-        d, cascade = self._d, self._cascade
-        gain = cascade.velocity_gain_N_m_s_rad
-        if loop == "phases":
-            d[loops.TORQUE_PER_AMPERE] *= -1.0
-            d[loops.EMF_PER_SPEED] *= -1.0
-        # The current command is a torque over the torque constant, whose sign the drive does not
-        # know; one gain has to change its sign with it.
-        if loop == "position" or gain is None:
-            d[loops.POSITION_GAIN] *= -1.0
-            self._cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
-        else:
-            d[loops.VELOCITY_GAIN] *= -1.0
-            self._cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=-gain)
-
-    def spin(self, speed_rad_s: float) -> None:
-        """Command a joint speed until the next command, without the position loop."""
-        spin(self._s, self._d, speed_rad_s)
 
     def rest(self, seconds: float) -> None:
         """Advance the time with the power off and the joint at rest, so that the motor cools."""
@@ -395,81 +533,17 @@ class SimulatedMachine:
         if e[table.HEATING_RISE] > 0.0:
             self._x[table.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
-    def track(self, target_counts: float, over_ns: int) -> None:
-        """Follow ``target_counts`` (motor encoder), reached linearly within ``over_ns``."""
-        s = self._s
-        if s[loops.MODE] == loops.OFF:
-            return
-        s[loops.MODE] = loops.TRACK
-        left = max(1, round(over_ns / self.loop_ns))
-        s[loops.TARGET_LEFT] = left
-        s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
-
-    def feed(self, current_A: float) -> None:
-        """Add a current to the command of the loops while the machine follows targets."""
-        if self._s[loops.MODE] == loops.TRACK:
-            self._s[loops.OFFSET] = current_A
-
-    def brake(self, deceleration_rad_s2: float) -> None:
-        """Reduce the commanded joint speed to zero, then hold the position (quick stop)."""
-        s = self._s
-        if s[loops.MODE] == loops.OFF:
-            return
-        opened = take_over(s, self._d, self._cascade)
-        if not opened and s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
-            # The last target is reached, and the ramp starts at the measured speed.
-            s[loops.TARGET_STEP] = s[loops.VELOCITY_ESTIMATE] * self._d[loops.LOOP_S]
-        s[loops.MODE] = loops.BRAKE
-        s[loops.OFFSET] = 0.0
-        s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
-
-    def advance(self, duration_ns: int) -> None:
-        """Integrate for a whole number of loop periods.
-
-        Raises:
-            ValueError: ``duration_ns`` is not a whole number of loop periods.
-        """
-        self._advance(self._loops_in(duration_ns), _NO_PATH)
-        if self._marked is not None:
-            self._marked.take(self.truth())
-
-    def mark(self) -> Extremes:
-        """Return the extremes of the motion from now on, which further steps update."""
-        truth = self.truth()
-        self._marked = Extremes(abs(truth.velocity_rad_s), truth.angle_rad, truth.angle_rad)
-        return self._marked
-
-    def _loops_in(self, duration_ns: int) -> int:
-        count, rest = divmod(duration_ns, self.loop_ns)
-        if rest or count < 0:
-            raise ValueError(
-                f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns"
-            )
-        return count
-
     def follow(self, path_rad: NDArray[np.float64]) -> None:
         """Integrate one loop period for each commanded joint angle of ``path_rad``."""
         self._advance(len(path_rad), path_rad)
 
-    def _advance(self, count: int, path: NDArray[np.float64]) -> None:
-        done = 0
-        while count > 0:
-            if self._noise_at == _NOISE_BLOCK:
-                self._noise = self._rng.standard_normal(_NOISE_BLOCK)
-                self._noise_at = 0
-            n = min(count, _NOISE_BLOCK - self._noise_at)
-            noise = self._noise[self._noise_at : self._noise_at + n]
-            part = path[done : done + n]
-            x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
-            self._kernels[0](n, self._s, x, histories, d, p, e, self._y, self._g, noise, part)
-            self._noise_at += n
-            done += n
-            count -= n
+    def _advance(self, count: int, path: NDArray[np.float64] = _NO_PATH) -> None:
+        noise = self._take_noise(count)
+        x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
+        self._kernels[0](count, self._s, x, histories, d, p, e, self._y, self._g, noise, path)
 
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
-        """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
-        the sensors and set the target.
-        """
+        """See :meth:`DrivenMachine.record`."""
         per_cycle = self._loops_in(cycle_ns)
         out = np.zeros((len(target_counts), LATCHED))
         targets = target_counts * self.motor_count_rad
@@ -482,66 +556,15 @@ class SimulatedMachine:
         motor_counts = np.floor(rotor / self.motor_count_rad)
         return Latches(motor_counts, np.floor(joint / self.joint_count_rad), *others)
 
-    def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next noise samples, as single loop periods would draw them."""
-        left = self._noise[self._noise_at :]
-        if count <= len(left):
-            self._noise_at += count
-            return left[:count]
-        more = -(-(count - len(left)) // _NOISE_BLOCK) * _NOISE_BLOCK
-        drawn = np.concatenate((left, self._rng.standard_normal(more)))
-        self._noise = drawn[-_NOISE_BLOCK:]
-        self._noise_at = _NOISE_BLOCK - (len(drawn) - count)
-        return drawn[:count]
-
-    def latch(self) -> Reading:
-        """Return the present sensor values, and start new means of current and voltage.
-
-        Raises:
-            ConfigurationError: With these constants the equations diverge, so that the angles are
-                NaN.
-        """
-        s = self._s
-        theta = float(read_rotor(float(s[loops.THETA]), self._e))
-        seen = float(self._x[table.SEEN])
-        n = float(s[loops.SUM_LOOPS])
-        if n:
-            seconds = n * float(self._d[loops.LOOP_S])
-            noise = float(s[loops.SUM_NOISE]) / n if s[loops.MODE] != loops.OFF else 0.0
-            current = float(s[loops.SUM_CURRENT]) / seconds + noise
-            voltage = float(s[loops.SUM_VOLTAGE]) / seconds
-        else:
-            current = voltage = 0.0
-        s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0
-        following = 0.0
-        if s[loops.MODE] != loops.OFF:
-            following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self.motor_count_rad
-        try:
-            motor, joint = (
-                math.floor(theta / self.motor_count_rad),
-                math.floor(seen / self.joint_count_rad),
-            )
-        except (ValueError, OverflowError) as error:
-            raise ConfigurationError(
-                f"the equations of the simulated machine diverge (angle {theta:g} rad); look for a "
-                "value with a wrong exponent or unit in the section `mock` of the bench file"
-            ) from error
-        return Reading(
-            motor,
-            joint,
-            float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
-            current,
-            voltage,
-            float(self._x[table.SUPPLY]),
-            float(self.temperature(float(self._x[table.RUN]))),
-            following,
+    def _sensed(self) -> tuple[float, float, float, float, float]:
+        x = self._x
+        return (
+            float(read_rotor(float(self._s[loops.THETA]), self._e)),
+            float(x[table.SEEN]),
+            float(x[table.SUPPLY]),
+            float(x[table.RUN]),
             float(self._y[gas.PRESSURE]),
         )
-
-    def temperature(self, run_s: float | NDArray[np.float64]) -> Any:
-        """Return the temperature that the drive reports after this running time, deg C."""
-        machine = self.constants
-        return machine.temperature_C - machine.warming_K * np.expm1(-run_s / machine.warming_s)
 
     def truth(self) -> Truth:
         """Return the exact state."""
@@ -588,7 +611,12 @@ def simulate(
         ValueError: The loop rate is not a multiple of the sample rate.
     """
     plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
-    _load(plant, weight_kg, contact_force_N, burning)
+    if burning:
+        plant.ignite()
+    elif contact_force_N is None:
+        plant.hang(weight_kg)
+    else:
+        plant.press(contact_force_N)
     loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
     if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
         raise ValueError(
@@ -617,15 +645,3 @@ def simulate(
         "pressure": out[5],
         "contact_force": out[6],
     }
-
-
-def _load(
-    plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
-) -> None:
-    """Load the valve with a gas generator, a contact force, or a weight."""
-    if burning:
-        plant.ignite()
-    elif contact_force_N is None:
-        plant.hang(weight_kg)
-    else:
-        plant.press(contact_force_N)

@@ -232,6 +232,11 @@ def _bench(tree: Tree, definitions: Tree) -> None:
         for key, node in definitions[name]["properties"].items():
             _bound(node, may_be(key))
     definitions["Machine"]["properties"]["effects"] = _effects()
+    definitions["Machine"]["properties"]["plant"] |= {
+        "properties": {name: {"type": "string"} for name in ("python", "class", "fmu")},
+        "additionalProperties": False,
+        "anyOf": [{"required": ["python", "class"]}, {"required": ["fmu"]}, {"maxProperties": 0}],
+    }
     # The interface distinguishes the kinds of bus; as free text, it would match every kind.
     definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
     definitions["ServoSection"]["not"] = {

@@ -249,6 +249,11 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
         any_drive = mistake is None or MISTAKES[mistake].any_drive
         if not any_drive and document.value.servo.kind != "canopen":
             raise InputError(f"--mistake {mistake}: needs a simulated drive of kind canopen")
+        mock = document.value.mock
+        changes = mistake is not None and MISTAKES[mistake].change is not None
+        if changes and mock is not None and mock.plant:
+            text = f"--mistake {mistake} changes the program's own machine, which this bench lacks"
+            raise InputError(document.problem(("mock", "plant"), text))
         return
     if yes:
         raise InputError(

@@ -206,6 +206,9 @@ class Machine:
             parameters of each effect. [Catalogue](effects.md).
         effects_file: Python file, relative to the bench file, with a function `inject_NAME` for
             each further effect NAME of `effects`.
+        plant: A machine of one's own in place of this one, from a file that is named relative to
+            the bench file: `{python: FILE, class: NAME}` or `{fmu: FILE}`. Motor, gear, friction
+            and load are then its own; the drive assumes what `machine` states.
     """
 
     motor: Motor = field(default_factory=Motor)
@@ -220,3 +223,4 @@ class Machine:
     warming_s: float = 600.0
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects_file: str = ""
+    plant: Mapping[str, str] = field(default_factory=dict)
