@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 import sys
@@ -61,7 +62,9 @@ def run(command: str) -> int:
     words = shlex.split(command)
     if words[0] == "rig":
         return cli.status(words[1:])
-    return subprocess.run(["bash", "-c", command], check=False).returncode
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    environment = {**os.environ, "PATH": path}
+    return subprocess.run(["bash", "-c", command], env=environment, check=False).returncode
 
 
 def test_the_reference_is_what_the_code_says() -> None:
