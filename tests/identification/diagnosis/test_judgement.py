@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -23,7 +24,14 @@ from identification.diagnosis.held_out import (
     validated_effects,
     validation_rms,
 )
-from identification.diagnosis.joint import Added, Joint, estimates, fit, undetermined_size
+from identification.diagnosis.joint import (
+    Added,
+    Joint,
+    _form_error,
+    estimates,
+    fit,
+    undetermined_size,
+)
 from identification.diagnosis.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.result import Fit, Step, Verdict
 from identification.diagnosis.rules import RULES
@@ -248,6 +256,20 @@ def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
     mass = estimates(found)[1]["mass_kg"]
     assert mass.low < 0.0 < mass.high < 0.1
     assert undetermined_size(found, 1) is None
+
+
+def test_the_error_of_a_form_is_a_share_of_what_the_effect_changes() -> None:
+    """An efficiency of 1 is no effect: what is left widens 1 - efficiency, not the efficiency."""
+    found = search(Added(TERM["transmission_efficiency"], (), (0.05,))).final
+    with_form, without = (
+        next(iter(estimates(found, form=form)[0].values())) for form in (True, False)
+    )
+    share = _form_error(found, found.stack, found.effects[0])
+    half = [0.5 * (e.high - e.low) for e in (with_form, without)]
+    assert share > 1.0, "what is hidden is asymmetric friction"
+    assert math.sqrt(half[0] ** 2 - half[1] ** 2) == pytest.approx(
+        share * abs(1.0 - with_form.value), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
