@@ -46,7 +46,16 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         ),
         ([("address: 84", "address: 85")], r"encoder.address: .*multiple of 4"),
     ],
-    ids=["cycle", "round trip", "no port", "near serial", "near mock", "CAN encoder", "mixed", "address"],
+    ids=[
+        "cycle",
+        "round trip",
+        "no port",
+        "near serial",
+        "near mock",
+        "CAN encoder",
+        "mixed",
+        "address",
+    ],
 )
 def test_a_bench_that_cannot_work_is_refused(
     tmp_path: Path, changes: list[tuple[str, str]], words: str
