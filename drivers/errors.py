@@ -76,8 +76,8 @@ class NotDescribedError(ConfigurationError):
     """The EDS file of the device does not contain the object."""
 
 
-CORRECT_MACHINE: Final = "correct this file of the machine"
-"""Advice in every :class:`MachineError`."""
+CORRECT_MACHINE: Final = "the error is in this file of the machine, not in the drive or the bus"
+"""Words in every :class:`MachineError`."""
 
 
 class MachineError(DeviceError):

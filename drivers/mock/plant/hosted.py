@@ -233,8 +233,8 @@ class HostedMachine(DrivenMachine):
     def _fail(self, words: str, cause: BaseException | None = None) -> None:
         """Switch the power off, and raise the error or tell it."""
         self.failure = MachineError(
-            f"the machine behind the simulated drive failed: {words}, {self._run_s:.6g} s after "
-            f"the reset; {CORRECT_MACHINE}: from there on it stands still without power"
+            f"{words}, {self._run_s:.6g} s after the reset; {CORRECT_MACHINE}; the machine stands "
+            "still without power from there on"
         )
         self.failure.__cause__ = cause
         s = self._s
