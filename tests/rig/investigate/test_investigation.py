@@ -134,7 +134,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr(loop, "predict", made.predict)
     monkeypatch.setattr(loop, "read_record", record)
     monkeypatch.setattr(loop, "load_run", lambda _: None)
-    seen = Confirmation(0.9, 0.11, 0.1, 3, (Z, Z, Z, Z))
+    seen = Confirmation(0.9, 0.11, 0.1, 3, 4, {"a": (Z, Z, Z, Z)})
     monkeypatch.setattr(loop, "compare", lambda *_: seen)
     return made
 
