@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from identification.numerics.arrays import Array, finite, plain
 from identification.numerics.spread import NO_SPREAD, Spread
 
+WIDEST = 0.5
+"""Half width of the 90 % interval over the value above which a parameter is not determined."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -33,6 +36,16 @@ class Parameter:
     at_bound: bool = False
     reason: str = ""
     floor: float | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval, which contains what the model lacks, is narrow enough to say that
+        the value is known; an offset, which may be zero, is judged by the torque instead.
+        """
+        if self.value is None or self.low is None or self.high is None:
+            return False
+        half = 0.5 * (self.high - self.low)
+        return self.name == "offset" or half <= WIDEST * abs(self.value)
 
 
 @dataclass(frozen=True)

@@ -31,11 +31,10 @@ from identification.diagnosis.rows import (
 )
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
-from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
-from identification.result import MOST_FLOORS
+from identification.result import MOST_FLOORS, WIDEST
 from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View

@@ -69,7 +69,7 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     if not limits:
         return DONE
     count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
-    click.echo(f"The run is judged by {count}; this may take a minute.")
+    click.echo(f"The run is judged by its completeness and {count}; this may take a minute.")
     try:
         found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:

@@ -82,7 +82,7 @@ def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
     for each in ("warning", "problem"):
         texts = record[f"{each}s"]
         assert len(texts) == (each == kind)
-        assert all(t.startswith(f"heavy: predicted peak torque {peak:.4g} N m is ") for t in texts)
+        assert all(re.search(rf"heavy: .*torque {peak:.4g} N m \(limit", t) for t in texts)
     if kind == "warning":
         assert ("the paper's friction" in record["warnings"][0]) is not measured
 
@@ -104,11 +104,9 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
     bench = load_bench("practical")
     plan = make_plan(load_sequence("one.yaml"), bench, False)
     computed = PredictedLoad.of(plan, bench.value, model)
-    torques = [
-        [text for text in found if "torque" in text]
-        for found in (computed.problems, computed.warnings)
-    ]
-    assert [len(found) for found in torques] == [problems, warnings]
+    for found, stages in ((computed.problems, problems), (computed.warnings, warnings)):
+        assert sum(text.count("torque ") for text in found) == stages
+    assert len(computed.warnings) == bool(warnings)  # one remedy, one message
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
@@ -192,7 +190,7 @@ def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(
     assert Path("out").exists() is (code == 0)
     if code:
         (line,) = capsys.readouterr().err.splitlines()
-        assert re.match(r"one\.yaml:7:\d+: stages\[1\]\.name: heavy: predicted peak torque ", line)
+        assert re.match(r"one\.yaml:7:\d+: stages\[1\]\.name: heavy: .*: torque ", line)
         assert "; predicted from the identification known.json (got" in line
 
 
@@ -216,9 +214,9 @@ def test_a_first_pass_above_its_limit_is_warned_of_and_its_trip_names_the_predic
     )
     told = capsys.readouterr().err
     record = read_record(Path("out"))
-    warning = "heavy, first pass: predicted peak current 12.88 A is above its limit 11.25 A"
+    warning = "current 12.88 A (limit 11.25 A)"
     assert (warning in told) is bool(code)
-    assert any(text.startswith(warning) for text in record.warnings) is bool(code)
+    assert any(warning in text for text in record.warnings) is bool(code)
     if code:
         assert record.trip is not None
         assert (record.trip["check"], record.trip["limit"]) == ("motor current", 11.25)

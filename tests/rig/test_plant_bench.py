@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 import yaml
 
+from drivers.errors import CORRECT_MACHINE
 from rig.cli.authoring.schema import json_schema
 from rig.cli.entry import status
 from rig.common.yaml_tree import parse
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
+from rig.results.run.go_on import NEW_RUN
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run, read_record
@@ -110,10 +112,14 @@ def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
     line = next(n for n, text in enumerate(lines, 1) if "1 / 0" in text)
     assert run() == 4
     place = f"machine.py:{line}: step("
-    assert place in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert place in told
+    assert CORRECT_MACHINE in told
+    assert NEW_RUN in told
     record = read_record(Path("out"))
     assert record.state == "failed"
     assert place in record.message
+    assert "cable" not in record.message
     assert record.de_energised is True
     assert "ZeroDivisionError" in record.message
     assert len(read_run(Path("out/recording.mcap")).samples["time"]) > 20

@@ -1,6 +1,7 @@
 """How sure a result is, and the tables of parameters."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from identification.result import (
 from rig.common.tables import interval, number, percent, table
 from rig.results.identify.document import (
     bootstrap_table,
+    determined_notes,
+    note,
     parameter_table,
     profile_table,
     uncertainty_tables,
@@ -66,6 +69,20 @@ def test_draws_stand_beside_intervals() -> None:
         ("J", "-", "-", "3 of 100", "kg m^2"),
     )
     assert len(uncertainty_tables(RESULT)) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "half", "determined"), [("Mc", 3.4, True), ("Mc", 3.6, False), ("offset", 99.0, True)]
+)
+def test_the_interval_as_printed_decides_what_is_determined(
+    name: str, half: float, determined: bool
+) -> None:
+    wide = Parameter(name, "N m", 7.0, 7.0 - half, 7.0 + half)
+    assert wide.determined is determined
+    assert bool(note(wide)) is not determined
+    parameters = {"J": Parameter("J", "kg m^2", 1.0, 0.9, 1.1), name: wide}
+    (line,) = determined_notes([replace(RESULT, parameters=parameters)])
+    assert f"{1 + determined} of 2 parameters" in line
 
 
 def test_the_record_is_json_without_infinities() -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,14 +17,15 @@ import pytest
 
 from identification.design.separation import Hypothesis, Weighed
 from identification.diagnosis.result import Verdict
-from rig.cli.entry import BAD_INPUT, status
+from rig.cli.entry import BAD_INPUT, STOPPED, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.investigate import investigation as loop
 from rig.investigate.confirmation import Confirmation, Prediction
 from rig.investigate.experiments import as_document, family
-from rig.investigate.investigation import Investigation, State, load_state
+from rig.investigate.investigation import Experiment, Investigation, State, load_state
+from rig.results.run.go_on import NOT_READ_BACK
 
 Z = np.zeros(3)
 
@@ -132,7 +134,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr(loop, "predict", made.predict)
     monkeypatch.setattr(loop, "read_record", record)
     monkeypatch.setattr(loop, "load_run", lambda _: None)
-    seen = Confirmation(0.9, 0.11, 0.1, 3, (Z, Z, Z, Z))
+    seen = Confirmation(0.9, 0.11, 0.1, 3, 4, {"a": (Z, Z, Z, Z)})
     monkeypatch.setattr(loop, "compare", lambda *_: seen)
     return made
 
@@ -265,3 +267,32 @@ def test_bad_input(
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "o" / loop.STATE_FILE).exists()
+
+
+@pytest.mark.parametrize("off", [None, True, False])
+def test_ctrl_c_between_runs_tells_the_drive_and_the_command_that_goes_on(
+    off: bool | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "the folder"
+
+    def stopped(one: Investigation) -> None:
+        if off is not None:
+            one.state.experiments = [Experiment("01-first", "01-first.yaml", "", 0.0, 0)]
+            (folder / "01-first").mkdir(exist_ok=True)
+            (folder / "01-first" / "run.json").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Investigation, "run", stopped)
+    monkeypatch.setattr(loop, "read_record", lambda _: SimpleNamespace(de_energised=off))
+    words = ["investigate", "--bench", "practical", "--yes", "--out", str(folder)]
+    for _ in range(2):
+        assert status(words) == STOPPED
+        told = capsys.readouterr().err.splitlines()
+        assert (NOT_READ_BACK in told[-2]) is (off is False)
+        assert ("01-first" in told[-2]) is (off is not None)
+        words = shlex.split(told[-1].partition("go on with: rig ")[2])
+    assert "--resume" in words
+    assert "--yes" in words
