@@ -132,14 +132,14 @@ class Seen:
         return np.nan_to_num(series) if name == "voltage" else series
 
 
-def sampled(step: Any, samples: Any, states: int, dt: float, p: Any) -> Array:
+def sampled(step: Any, samples: Any, states: int, dt: float, p: Any, first: float = 0.0) -> Array:
     """Return the values of a function of one sample with states, which are zero before the first
-    sample, shape (n,).
+    sample, shape (n,); ``first`` is the period before the first sample if it is not ``dt``.
     """
     x = np.zeros(states)
     out = np.empty(len(samples))
     for k in range(len(samples)):
-        out[k] = step(samples[k], x, dt, p)
+        out[k] = step(samples[k], x, dt if k or first == 0.0 else first, p)
     return out
 
 

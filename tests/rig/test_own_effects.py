@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ from rig.results.diagnose.document import check_effects
 from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.own_effects import OwnFile, read_effects
+from rig.results.model import exported, read_model
 from rig.runs.run import load_run
 from rig.wiring.connect import connect
 from tests.rig.test_model_bench import record, run
+from tests.rig.test_model_command import result as model_result
 from tests.rig.test_model_export import (
     ACCELERATION,
     ANGLE,
@@ -102,8 +105,48 @@ def tabled(s, p):
 """
     own = read_effects(mine(tmp_path, text))
     model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
-    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a ndarray"):
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+    s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
+    assert module.torque(s) == pytest.approx(model.torque(s), rel=1e-12, abs=1e-12)
+    own = read_effects(mine(tmp_path, text.replace("np.array([0.0, 1.0])", "[0.0, 1.0]")))
+    model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
+    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a list"):
         python_text(model, RECORDING, "bench")
+
+
+def test_the_model_for_other_tools_has_effects_of_ones_own(six: OwnFile, tmp_path: Path) -> None:
+    made = read_model(model_result(tmp_path / "demo", six.effects), six)
+    assert made.machine is not None
+    assert made.machine.left_out == ()
+    kinds = ("c", "python") if shutil.which("cc") else ("python",)
+    assert all(max(exported(made, kind).checks.values()) < 1e-6 for kind in kinds)
+
+
+def test_what_other_tools_cannot_have_is_named_with_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = """
+@effect(a=("N m s/rad", 0.0, 5.0))
+def of_all_samples(s, p):
+    return p.a * (s.velocity - np.mean(s.velocity))
+
+@effect(a=("N m", 0.0, 5.0), w=("rad/s", 0.1, 1.0))
+def without_a_form(s, p):
+    return p.a * np.arctan(s.velocity / p.w)
+"""
+    path = mine(tmp_path, text)
+    own, result = read_effects(path), tmp_path / "m.json"
+    folder = model_result(tmp_path / "demo", own.effects, **own.record)
+    given = ["model", str(folder), "--effects", str(path), "--json", str(result)]
+    assert status([*given, "--format", "modelica", "--out", str(tmp_path / "a")]) == 0
+    left = json.loads(result.read_text())["not_simulated"]
+    assert [e["name"] for e in left] == ["of_all_samples", "without_a_form"]
+    assert left[0]["parameters"] == {"a": 1.5}
+    assert status([*given, "--format", "yaml", "--out", str(tmp_path / "b")]) == 0
+    written = yaml.safe_load((tmp_path / "b" / "demo.yaml").read_text())
+    assert {*written["effects"]} == {"of_all_samples", "without_a_form"}
+    assert status(given[:2]) == 2
+    assert "--effects" in capsys.readouterr().err
 
 
 def test_the_command_checks_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
