@@ -34,7 +34,7 @@ from identification.estimate.default import identify_any_length
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress
 from identification.recording import Dataset, Model, Recording, RecordingError
-from identification.result import Identification
+from identification.result import HEADLINES, Identification
 
 Source = Dataset | Recording | Iterable[Recording]
 Result = Identification | Diagnosis | CorrectedModel | Mapping[str, Any]
@@ -84,7 +84,7 @@ def identify(
     >>> {name: round(value, 2) for name, value in found.values.items()}
     {'Mc': 2.0, 'sigma_2': 0.5, 'J': 0.3}
     """
-    return identify_any_length(
+    found = identify_any_length(
         dataset_of(source, model),
         bandwidth_Hz=bandwidth_Hz,
         rng=np.random.default_rng(rng),
@@ -92,6 +92,10 @@ def identify(
         profile=profile,
         draws=draws,
     )
+    if not found.misfit:
+        return found
+    first = f"{HEADLINES[found.misfit[0]]}: {found.misfit_words}"
+    return replace(found, warnings=(first, *found.warnings))
 
 
 def diagnose(
