@@ -516,8 +516,8 @@ class OwnEffect(Effect):
                 plain = torque()
                 scaled = {b: torque({b: 3.7}) for b in ("m", "kg", "s", "A", "K")}
         except Exception as error:  # noqa: BLE001 - whatever a user's function raises
-            names = getattr(getattr(error, "obj", None), "_fields", ())
-            more = f"; the parameters are {', '.join(names)}" if names else ""
+            fields = getattr(getattr(error, "obj", None), "_fields", ())
+            more = f"; the parameters are {', '.join(fields)}" if fields else ""
             form = "f(angle, speed, motor_torque, load, state, dt, p)"
             more = more or (f"; it is called as {form}" if isinstance(error, TypeError) else "")
             return [f"{where}{type(error).__name__}: {error}{more}"]
