@@ -60,7 +60,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
     ),
-    "rig diagnose: diagnose.json": ("rig.results.diagnose.model_file:diagnosis_record",),
+    "rig diagnose: diagnose.json": (
+        "identification.diagnosis.result:Diagnosis.to_dict",
+        "rig.results.diagnose.model_file:diagnosis_record",
+    ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",

@@ -161,6 +161,15 @@ def test_a_model_that_contradicts_itself_is_an_error(given: dict[str, Any]) -> N
         lr.Model(**given)
 
 
+def test_a_model_that_lacks_something_is_said_to(found: Any) -> None:
+    plain = noisy()
+    torque = plain.channels["torque"] + 20.0 * plain.channels["angle"]
+    lacking = lr.identify(lr.Recording(plain.time, plain.channels["angle"], torque=torque), rng=0)
+    assert not found.misfit
+    assert "above_noise_floor" in lacking.misfit
+    assert lacking.misfit_words in lacking.warnings[0]
+
+
 def test_a_model_says_what_is_free(found: Any) -> None:
     assert {*lr.Model().free} == {*SYSTEM, *LOAD} == {*found.values}
     assert {*lr.Model(fixed={"J": 1.0}, terms=("offset",)).free} == {*SYSTEM, *LOAD, "offset"} - {

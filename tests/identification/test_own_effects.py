@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import identification as lr
 from identification.effects import EFFECTS, EffectError, OwnEffect, with_own
+from identification.effects.model import CorrectedModel
 from identification.effects.own import Seen, dimensions, sampled, samples_of
+from identification.effects.prediction import Fitted, predict
+from identification.numerics.spread import Spread
 from identification.recording import Bench, Recording
 from identification.views.nominal import Nominal
 from identification.views.view import View, views
@@ -237,3 +241,33 @@ def test_the_catalogue_stays_as_it_is(six: dict[str, OwnEffect], tmp_path: Path)
         with_own([same])
     with pytest.raises(EffectError, match="root_drag: there is an effect of this name"):
         with_own([six["root_drag"], six["root_drag"]])
+
+
+def test_a_prediction_draws_and_takes_effects_of_ones_own(
+    six: dict[str, OwnEffect], view: View
+) -> None:
+    spring, nominal = six["cubic_spring"], {"J": 0.2, "Mc": 5.0, "sigma_2": 1.0}
+    model = CorrectedModel(
+        nominal, effects={"cubic_spring": {"k": 50.0}}, catalogue=with_own([spring])
+    )
+    fitted = Fitted(model, Spread(("cubic_spring.k",), np.array([[4.0]]), np.inf))
+    drawn = predict(fitted, view.recording, "motion", rng=np.random.default_rng(0))
+    known = np.isfinite(drawn.torque)
+    assert np.max((drawn.high["torque"] - drawn.low["torque"])[known]) > 0.1
+    flat = {**nominal, "cubic_spring.k": 50.0}
+    file = {
+        "parameters": {n: {"value": v, "unit": ""} for n, v in nominal.items()},
+        "alpha": 2.0,
+        "effects": {"cubic_spring": {"k": 50.0}},
+    }
+    for given in (flat, file):
+        found = lr.simulate(given, view.recording, given="motion", effects=[spring], draws=0)
+        assert np.allclose(found.torque[known], drawn.torque[known], rtol=1e-3)
+        with pytest.raises(lr.RecordingError, match="effects="):
+            lr.simulate(given, view.recording)
+    with pytest.raises(lr.RecordingError, match="lacks width"):
+        lr.simulate(
+            {"speed_resonance.torque": 1.0, "speed_resonance.speed": 0.3},
+            view.recording,
+            effects=[six["speed_resonance"]],
+        )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +14,23 @@ import yaml
 
 from identification.effects.model import CorrectedModel
 from identification.export.python import python_text
+from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.common.errors import InputError
+from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
+from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.document import check_effects
+from rig.results.diagnose.exports import SEQUENCE_FILE, exports
 from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.own_effects import OwnFile, read_effects
+from rig.results.model import exported, read_model
 from rig.runs.run import load_run
 from rig.wiring.connect import connect
+from tests.rig.diagnoses import AMBIGUOUS
 from tests.rig.test_model_bench import record, run
+from tests.rig.test_model_command import result as model_result
 from tests.rig.test_model_export import (
     ACCELERATION,
     ANGLE,
@@ -102,8 +111,48 @@ def tabled(s, p):
 """
     own = read_effects(mine(tmp_path, text))
     model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
-    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a ndarray"):
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+    s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
+    assert module.torque(s) == pytest.approx(model.torque(s), rel=1e-12, abs=1e-12)
+    own = read_effects(mine(tmp_path, text.replace("np.array([0.0, 1.0])", "[0.0, 1.0]")))
+    model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
+    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a list"):
         python_text(model, RECORDING, "bench")
+
+
+def test_the_model_for_other_tools_has_effects_of_ones_own(six: OwnFile, tmp_path: Path) -> None:
+    made = read_model(model_result(tmp_path / "demo", six.effects), six)
+    assert made.machine is not None
+    assert made.machine.left_out == ()
+    kinds = ("c", "python") if shutil.which("cc") else ("python",)
+    assert all(max(exported(made, kind).checks.values()) < 1e-6 for kind in kinds)
+
+
+def test_what_other_tools_cannot_have_is_named_with_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = """
+@effect(a=("N m s/rad", 0.0, 5.0))
+def of_all_samples(s, p):
+    return p.a * (s.velocity - np.mean(s.velocity))
+
+@effect(a=("N m", 0.0, 5.0), w=("rad/s", 0.1, 1.0))
+def without_a_form(s, p):
+    return p.a * np.arctan(s.velocity / p.w)
+"""
+    path = mine(tmp_path, text)
+    own, result = read_effects(path), tmp_path / "m.json"
+    folder = model_result(tmp_path / "demo", own.effects, **own.record)
+    given = ["model", str(folder), "--effects", str(path), "--json", str(result)]
+    assert status([*given, "--format", "modelica", "--out", str(tmp_path / "a")]) == 0
+    left = json.loads(result.read_text())["not_simulated"]
+    assert [e["name"] for e in left] == ["of_all_samples", "without_a_form"]
+    assert left[0]["parameters"] == {"a": 1.5}
+    assert status([*given, "--format", "yaml", "--out", str(tmp_path / "b")]) == 0
+    written = yaml.safe_load((tmp_path / "b" / "demo.yaml").read_text())
+    assert {*written["effects"]} == {"of_all_samples", "without_a_form"}
+    assert status(given[:2]) == 2
+    assert "--effects" in capsys.readouterr().err
 
 
 def test_the_command_checks_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,6 +171,69 @@ def test_the_command_checks_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert status(["effects", "--check", str(tmp_path / "absent.py")]) == 2
     assert status(["effects", "backlash", "--check", str(SIX)]) == 2
     assert status(["effects", "--on", str(SIX)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("-p.c * speed", "sign:"),
+        ("p.c * speed * abs(speed)", "units:"),
+        ("p.cc * speed", "the parameters are c"),
+        ("p.c * speed / angle / 0.0", "ZeroDivisionError"),
+        ("p.c * speed * math.inf", "returns"),
+        ("p.c * speed", ""),
+    ],
+)
+def test_the_check_tries_the_function_that_injects(body: str, words: str, tmp_path: Path) -> None:
+    text = f"""
+@effect(c=("N m s/rad", 0.0, 5.0))
+def drag(s, p):
+    return p.c * s.velocity
+
+def inject_drag(angle, speed, motor_torque, load, state, dt, p):
+    return {body}
+"""
+    (found,) = check_effects(read_effects(mine(tmp_path, text)), None)
+    assert [words in p and "mine.py:9: inject_drag" in p for p in found.problems] == [True] * bool(
+        words
+    )
+    other = text.replace("state, dt, p", "p")
+    (found,) = check_effects(read_effects(mine(tmp_path, other)), None)
+    assert "it is called as" in found.problems[0]
+
+
+def test_a_wrong_name_of_a_parameter_lists_those_there_are(tmp_path: Path) -> None:
+    text = (
+        '@effect(c=("N m", 0, 9), b=("", 0, 1))\ndef drag(s, p):\n    return p.cc * s.direction\n'
+    )
+    with pytest.raises(InputError, match="the parameters are c, b"):
+        read_effects(mine(tmp_path, text))
+
+
+def test_no_experiment_is_written_for_an_effect_without_one(six: OwnFile, tmp_path: Path) -> None:
+    stated = read_effects(
+        mine(
+            tmp_path,
+            """
+from identification.effects.effect import Separation
+from identification.effects.own import OwnEffect
+
+class RootDrag(OwnEffect):
+    parameters = {"c": ("N m s^1.5/rad^1.5", 0.0, 9.0)}
+    separation = Separation.SLOW
+
+    def torque(s, p):
+        return p.c * s.velocity * np.abs(s.velocity) ** 0.5
+""",
+        )
+    )
+    effect = replace(AMBIGUOUS.effects[0], alias_group=("root_drag", "quadratic_drag"))
+    found = replace(AMBIGUOUS, effects=(effect,))
+    data, made = Dataset([RECORDING]), Provenance.of(0, (RECORDING,), 0.0)
+    without, known = (exports(tmp_path, Outcome(data, found, made, o), {}) for o in (six, stated))
+    assert SEQUENCE_FILE not in {f.name for f in without.files}
+    assert "root_drag" in without.notes[-1]
+    assert SEQUENCE_FILE in {f.name for f in known.files}
 
 
 def test_another_diagnosis_does_not_see_the_effects(tmp_path: Path) -> None:

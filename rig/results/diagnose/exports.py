@@ -14,7 +14,7 @@ import yaml
 from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.effects import EFFECTS
-from identification.effects.effect import Separation
+from identification.effects.effect import Effect, Separation
 from identification.effects.model import CorrectedModel
 from identification.export.python import python_text
 from identification.numerics.arrays import plain
@@ -147,9 +147,11 @@ def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
     }
 
 
-def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
+def separating_sequence(
+    names: Sequence[str], bench: Bench, catalogue: Mapping[str, Effect] = EFFECTS
+) -> str | None:
     """Return a sequence file that splits an alias group, or None if none can."""
-    known = [EFFECTS[name] for name in names if name in EFFECTS]
+    known = [catalogue[name] for name in names if name in catalogue]
     kinds = [entry.separation for entry in known if entry.separation is not None]
     room = Room.of(bench)
     if not kinds or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
@@ -225,9 +227,15 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
     base = base_bench(source)
     files, notes = _models(source_name(source), base, outcome, record)
     if outcome.diagnosis.verdict is Verdict.AMBIGUOUS:
-        splitting = _splitting(base, outcome.diagnosis)
+        unknown = _unknown(outcome)
+        splitting = _splitting(base, outcome, unknown)
         if splitting is not None:
             files.append(splitting)
+        elif unknown:
+            notes.append(
+                f"{SEQUENCE_FILE} is not written: no kind of experiment is stated for "
+                f"{', '.join(unknown)}; state `separation` in the class of your effect"
+            )
         else:
             notes.append(
                 "no sequence splits this group; the experiment needs a manual change of the bench"
@@ -260,12 +268,20 @@ def _models(
     return files, [*notes, *left_out]
 
 
-def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
+def _unknown(outcome: Outcome) -> list[str]:
+    """Return the candidates of one's own for which no kind of experiment is stated."""
+    names = {n: None for e in outcome.diagnosis.effects for n in e.alias_group if e.alias_group[1:]}
+    own = {e.name for e in outcome.own.effects if e.separation is None}
+    return [name for name in names if name in own]
+
+
+def _splitting(base: Mapping[str, Any], outcome: Outcome, unknown: Sequence[str]) -> Export | None:
     """Return the sequence that splits the first alias group that a sequence can split."""
     limits = Bench.model_validate_json(json.dumps(base), strict=True)
-    for effect in found.effects:
+    for effect in outcome.diagnosis.effects:
         group = effect.alias_group
-        sequence = separating_sequence(group, limits) if len(group) > 1 else None
+        known = len(group) > 1 and not {*group} & {*unknown}
+        sequence = separating_sequence(group, limits, outcome.own.catalogue) if known else None
         if sequence is not None:
             use = (
                 f"distinguishes {', '.join(group)}: rig run {SEQUENCE_FILE}, then diagnose the old "

@@ -15,12 +15,12 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Recording
 from identification.result import (
+    HEADLINES,
     Convergence,
     Fit,
     Identification,
     KnownConstant,
     MeasuredNoise,
-    Misfit,
     Parameter,
     Profile,
     Trace,
@@ -622,43 +622,17 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield provenance_section(outcome.provenance)
 
 
-_MISFIT_HEADLINES = {
-    Misfit.EXPLAINS_LITTLE: "This model does not describe this machine",
-    Misfit.AT_BOUNDS: "The fit has no friction or no inertia where the model has some",
-    Misfit.ABOVE_FLOOR: "The model leaves more than noise",
-}
-
-
 def _misfits(results: Sequence[Identification]) -> tuple[Verdict, ...]:
     """Return the verdict on each model that does not describe the recordings."""
     return tuple(
         Verdict(
-            _MISFIT_HEADLINES[r.misfit[0]],
-            f"{r.method}: {_misfit_statement(r)}. `rig diagnose` seeks what is missing.",
+            HEADLINES[r.misfit[0]],
+            f"{r.method}: {r.misfit_words}. `rig diagnose` seeks what is missing.",
             "open",
         )
         for r in results
         if r.misfit
     )
-
-
-def _misfit_statement(result: Identification) -> str:
-    """Return what is left beside torque and noise floor, and the constants at their bounds."""
-    fit, parts = result.fit, []
-    if Misfit.EXPLAINS_LITTLE in result.misfit:
-        share = percent(100.0 * max(fit.explained, 0.0))
-        parts.append(f"the fit explains {share} of the torque's power")
-    if Misfit.AT_BOUNDS in result.misfit:
-        several = len(result.bounded) > 1
-        words = "are at their bounds 0" if several else "is at its bound 0"
-        parts.append(f"{', '.join(result.bounded)} {words}")
-    if Misfit.ABOVE_FLOOR in result.misfit:
-        parts.append(
-            f"the error, {number(fit.train_rms, 3)} {fit.unit} rms at "
-            f"{number(fit.bandwidth_Hz, 3)} Hz, is {number(fit.floors, 2)} times the noise floor, "
-            f"{number(fit.noise_floor_rms, 3)} {fit.unit}, and the intervals include what is left"
-        )
-    return "; ".join(parts)
 
 
 def _warnings(results: Sequence[Identification]) -> list[Note]:
