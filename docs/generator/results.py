@@ -21,7 +21,7 @@ from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
 from identification.numerics.arrays import RANGED
-from identification.numerics.spread import Spread
+from identification.numerics.spread import Scatter, Spread
 from identification.result import (
     Convergence,
     Fit,
@@ -107,6 +107,11 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.compare:_history_record",
         "rig.results.catalogue.compare:_course_record",
     ),
+    "rig runs study --json": (
+        "rig.results.catalogue.study:study_record",
+        "rig.results.catalogue.study:_record",
+        "rig.results.catalogue.study:studies",
+    ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
         "rig.results.catalogue.listing:_run_record",
@@ -159,6 +164,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
+    "rig runs study --json": (Scatter,),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
 }

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.link import CanopenLink
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from rig.cli.entry import status
 from rig.common import locks
@@ -22,6 +23,7 @@ from rig.common.locks import OWNER_FILE, Resource, hold_bench
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.control.attendance import waiting
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
 from rig.wiring import connect as connect_module
@@ -83,7 +85,7 @@ def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
         ["check", file],
         ["jog", file],
         ["jog", file, "--to", "1"],
-        ["run", str(sequence), "--bench", file, "--out", str(out)],
+        ["run", str(sequence), "--bench", file, "--out", str(out), "--wait", "0.1"],
     ]
 
 
@@ -122,6 +124,20 @@ def test_the_second_program_on_a_bench_is_refused(
         assert first.end() == 0
         with hold_bench("free", resources(load_bench(bench.path).value), "test") as lock:
             assert lock.taken_over is None
+
+
+def test_a_run_waits_for_a_bench_that_is_in_use(tmp_path: Path) -> None:
+    part, clock, said = Resource("simulated", "port simulated"), SimulatedClock(), []
+    first = hold_bench("wired", [part], "rig jog", tmp_path)
+    clock.call_at(20 * NS, first.release)
+    with pytest.raises(InUseError):
+        hold_bench("wired", [part], "rig run", tmp_path, waiting(10.0, said.append, clock))
+    assert clock.now_ns() == 10 * NS
+    refused = waiting(30.0, said.append, clock)
+    with hold_bench("wired", [part], "rig run", tmp_path, refused) as lock:
+        assert lock.descriptors
+    assert clock.now_ns() == 20 * NS
+    assert ["`rig jog`" in words for words in said] == [True, True]
 
 
 def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
