@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,9 +22,18 @@ from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.investigate import investigation as loop
+from rig.investigate.choice import Choice
 from rig.investigate.confirmation import Confirmation, Prediction
 from rig.investigate.experiments import as_document, family
-from rig.investigate.investigation import Investigation, State, load_state
+from rig.investigate.investigation import (
+    LEAST_HELD,
+    MOST_COVERS,
+    MOST_REFUTED,
+    VAIN,
+    Investigation,
+    State,
+    load_state,
+)
 
 Z = np.zeros(3)
 
@@ -34,7 +44,7 @@ class Killed(BaseException):
 
 def weighed(preference: float, name: str = "cogging", outside: float = 0.01) -> Weighed:
     share = 1.0 if preference < 1.0 else 0.001
-    joint = cast(Any, SimpleNamespace())
+    joint = cast(Any, SimpleNamespace(residual=np.ones(3)))
     return Weighed(
         (
             Hypothesis((name,), joint, 0.0, 1.0),
@@ -54,7 +64,10 @@ class World:
     verdict: Verdict = Verdict.NAMED
     kill_at: int = -1
     trips: bool = False
+    indistinct: bool = False
+    held: tuple[float, ...] = ()
     moments: int = 0
+    outside: Callable[[int], float] = lambda _: 0.01
     ran: list[str] = field(default_factory=list)
     avoided: list[Any] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -72,25 +85,26 @@ class World:
         return SimpleNamespace(
             outcome=outcome,
             diagnosis=diagnosis,
-            weighed=weighed(preference),
+            weighed=weighed(preference, outside=self.outside(len(folders))),
             found=None,
         )
 
     def propose(self, *arguments: Any) -> Any:
         self.moment()
-        *_, name, _left_s, avoided, cover = arguments
+        *_, name, _left_s, avoided, cover, _given_up = arguments
         self.avoided.append(avoided)
-        if self.per_run == 0.0 and not cover:
-            return None
+        if self.indistinct and not cover:
+            return Choice(None, {"torque_ripple": 0.2})
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
-        return SimpleNamespace(
+        proposal = SimpleNamespace(
             purpose="cover" if cover else "separate",
             reason="separates cogging from torque ripple by 7.0 sigma",
             seconds=100.0,
             weight_changes=1,
-            apart={("cogging", "torque_ripple"): 7.0},
+            apart={} if cover else {("cogging", "torque_ripple"): 7.0},
             sequence=as_document(name, parts),
         )
+        return Choice(cast(Any, proposal), {})
 
     def carry_out(self, sequence: Path, folder: Path) -> None:
         load_sequence(sequence)
@@ -110,6 +124,10 @@ class World:
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
         sequence = as_document("confirm", parts).value
         return Prediction(sequence, {"floor_rms": 0.1, "recordings": []}, 60.0, 0)
+
+    def compare(self, *_: Any) -> Confirmation:
+        share, self.held = (self.held[0], self.held[1:]) if self.held else (0.9, ())
+        return Confirmation(share, 0.11, 0.1, 3, (Z, Z, Z, Z))
 
     def begin(self, state: State) -> Investigation:
         bench = load_bench("practical")
@@ -132,8 +150,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr(loop, "predict", made.predict)
     monkeypatch.setattr(loop, "read_record", record)
     monkeypatch.setattr(loop, "load_run", lambda _: None)
-    seen = Confirmation(0.9, 0.11, 0.1, 3, (Z, Z, Z, Z))
-    monkeypatch.setattr(loop, "compare", lambda *_: seen)
+    monkeypatch.setattr(loop, "compare", made.compare)
     return made
 
 
@@ -148,8 +165,8 @@ def purposes(state: State) -> list[str]:
 def test_it_separates_until_every_rival_is_rejected_then_confirms(world: World) -> None:
     state = new()
     _, confirmed = world.begin(state).run()
-    assert purposes(state) == ["first", "separate", "separate", "confirm"]
-    assert "odds" in state.ended
+    assert purposes(state) == ["first", "separate", "separate", "cover", "confirm"]
+    assert "rejected" in state.ended
     assert state.cannot_separate == []
     assert confirmed is not None
     assert state.confirmation["band_held"] == 0.9
@@ -172,24 +189,45 @@ def test_the_odds_after_each_experiment_are_kept_and_the_sealed_one_is_in_no_fit
 
 
 def test_what_no_experiment_separates_is_ambiguous_and_says_what_would(world: World) -> None:
-    world.per_run = 0.0
+    world.indistinct, world.per_run = True, 0.0
     state = new()
     world.begin(state).run()
     assert [pair["names"] for pair in state.cannot_separate] == [["cogging", "torque_ripple"]]
     assert state.cannot_separate[0]["needs"]
+    assert "0.2" in state.cannot_separate[0]["why"]
     assert "separate" not in purposes(state)
 
 
-@pytest.mark.parametrize("verdict", [Verdict.NOTHING_MISSING, Verdict.OUTSIDE_CATALOGUE])
-def test_without_a_rival_it_shows_what_no_recording_has_shown_twice(
-    world: World, verdict: Verdict
-) -> None:
-    world.verdict, world.per_run = verdict, 9.0
+def test_a_pair_is_given_up_after_two_experiments_in_vain(world: World) -> None:
+    world.per_run = 0.0
     state = new()
-    state.experiments = []
     world.begin(state).run()
-    assert purposes(state).count("cover") == 2
-    assert state.ended
+    assert purposes(state).count("separate") == VAIN
+    assert str(VAIN) in state.cannot_separate[0]["why"]
+
+
+@pytest.mark.parametrize(("failed", "kept"), [(1, 1), (MOST_REFUTED + 1, MOST_REFUTED)])
+def test_a_prediction_that_fails_is_evidence_and_the_investigation_goes_on(
+    world: World, failed: int, kept: int
+) -> None:
+    world.held = (LEAST_HELD - 0.1,) * failed
+    state = new()
+    world.begin(state).run()
+    assert purposes(state).count("refute") == len(state.refuted) == kept
+    assert purposes(state)[-1] == "confirm"
+    assert state.confirmation["band_held"] == (0.9 if failed == kept else LEAST_HELD - 0.1)
+    assert len({*world.folder.glob("prediction*.json")}) == kept + 1
+
+
+@pytest.mark.parametrize(("moves", "covers"), [(False, 1), (True, MOST_COVERS)])
+def test_experiments_that_cover_go_on_while_they_show_something(
+    world: World, moves: bool, covers: int
+) -> None:
+    world.verdict, world.per_run = Verdict.NOTHING_MISSING, 9.0
+    world.outside = (lambda runs: runs % 2) if moves else (lambda _: 0.01)
+    state = new()
+    world.begin(state).run()
+    assert purposes(state).count("cover") == covers
 
 
 def test_a_budget_ends_it(world: World) -> None:
@@ -238,7 +276,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_run_twice(world: World) -> None
 def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
     state = new()
     world.begin(state).run()
-    path = world.folder / loop.PREDICTION_FILE
+    path = world.folder / "prediction.json"
     path.write_text(path.read_text().replace("0.1", "0.2", 1))
     with pytest.raises(InputError, match="sealed"):
         world.begin(state).run()
