@@ -27,7 +27,17 @@ from rig.results.document import (
 
 PAGE_FILE = "investigation.html"
 RESULT_FILE = "investigate.json"
-_KEYS = ("run", "sequence", "reason", "seconds", "weight_changes", "state", "purpose", "odds")
+_KEYS = (
+    "run",
+    "sequence",
+    "reason",
+    "seconds",
+    "weight_changes",
+    "state",
+    "purpose",
+    "odds",
+    "verdict",
+)
 _CONFIRMED = ("predicted_sha256", "band_held", "error_rms", "floor_rms")
 
 
