@@ -158,7 +158,7 @@ def weigh(
     beyond = [implausible(j) for j in fitted]
     best = fitted[0]
     for joint, why in zip(fitted, beyond, strict=True):
-        best = joint if not why and level(best, joint) < 0.0 else best
+        best = joint if not why and level(best, joint) < -RULES.simpler else best
     hypotheses = []
     for joint, why in zip(fitted, beyond, strict=True):
         names, behind = tuple(e.term.name for e in joint.effects), level(best, joint)
@@ -180,10 +180,14 @@ def weigh(
 
 
 def level(best: Joint, joint: Joint) -> float:
-    """Return how far the likelihood of a fit is below that of the best fit to the same rows with
+    """Return how far the likelihood of a fit is below that of another fit to the same rows with
     the same noise, in standard errors of the difference; negative if it is above.
+
+    The standard error of the difference of two nearly equal fits is nearly zero. Therefore the gap
+    is at most what :func:`separations` expects of fits whose squares differ by as much.
     """
-    return 0.0 if joint is best else preference(best, joint)
+    most = 0.5 * math.sqrt(abs(joint.cost - best.cost))
+    return max(-most, min(preference(best, joint), most))
 
 
 def _in_place_of(found: Search, known: Mapping[str, Effect], wanted: Sequence[str]) -> list[Joint]:
