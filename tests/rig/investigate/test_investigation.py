@@ -4,6 +4,7 @@ disk, and what a kill at any moment leaves.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Callable
@@ -15,8 +16,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from identification.design.separation import Hypothesis, Weighed
-from identification.diagnosis.result import Verdict
+from identification.design.separation import REJECTED, Hypothesis, Weighed
+from identification.diagnosis.result import (
+    Diagnosis,
+    Fit,
+    IdentifiedEffect,
+    Location,
+    Rival,
+    Verdict,
+)
 from rig.cli.entry import BAD_INPUT, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
@@ -303,3 +311,31 @@ def test_bad_input(
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "o" / loop.STATE_FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("preference", "verdict", "group"),
+    [
+        (0.5, Verdict.AMBIGUOUS, ("cogging", "torque_ripple")),
+        (REJECTED, Verdict.NAMED, ("cogging",)),
+    ],
+)
+def test_verdict_rivals_and_confidence_follow_from_one_level(
+    preference: float, verdict: Verdict, group: tuple[str, ...]
+) -> None:
+    """Whatever the diagnosis alone said."""
+    where = Location("motor angle", "rad", (), 0.9, ())
+    own = Rival("torque_ripple", 0.4, "the error is larger by 9.9 standard errors")
+    effect = IdentifiedEffect("cogging", ("cogging",), 0.7, "cogs", "", where, {}, (own,), "")
+    fit = Fit("torque", "N m", 25.0, 2.0, 1.0, 1.0)
+    diagnosis = Diagnosis(Verdict.AMBIGUOUS, "", (effect,), fit, (fit,), {}, {}, 0.001)
+    hypotheses = weighed(preference)
+    found = loop.concluded_from(diagnosis, hypotheses)
+    assert found.verdict is verdict
+    assert found.effects[0].alias_group == group
+    assert found.effects[0].confidence == hypotheses.odds["cogging"]
+    (rival,) = found.effects[0].rivals
+    assert rival.confidence == hypotheses.odds["torque_ripple"]
+    assert ("2.3" in rival.why_not) is (verdict is Verdict.NAMED)
+    nothing = dataclasses.replace(diagnosis, verdict=Verdict.NOTHING_MISSING, effects=())
+    assert loop.concluded_from(nothing, hypotheses) is nothing
