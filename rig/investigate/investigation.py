@@ -240,17 +240,29 @@ def judge(
     Raises:
         InputError: The recordings cannot be diagnosed.
     """
+    return judge_recordings(read_runs(folders), folders[0], seed, question, progress, refine)
+
+
+def judge_recordings(
+    dataset: Dataset,
+    source: Path,
+    seed: int,
+    question: Sequence[str],
+    progress: Progress,
+    refine: bool = False,
+) -> Judgement:
+    """Diagnose recordings as :func:`judge`; ``source`` is the place of the first of them."""
     searches: list[Search] = []
     outcome = diagnose_dataset(
-        read_runs(folders),
-        folders[0],
+        dataset,
+        source,
         seed,
         progress=progress,
         refine=refine,
         searched=searches.append,
     )
     if not searches:
-        raise InputError(f"{folders[0]}: an investigation needs recordings of the drive's torque")
+        raise InputError(f"{source}: an investigation needs recordings of the drive's torque")
     progress("weighing hypotheses", 0.0)
     found = searches[0]
     flexible = any(np.any(v.twist) for v in found.baseline.views)

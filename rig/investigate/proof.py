@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
@@ -19,13 +19,14 @@ import yaml
 from scipy import stats
 
 from drivers.mock.plant.parts.constants import Machine
+from identification.recording import Dataset
 from rig.common.places import is_file, read_json, write_json, write_text
 from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.investigate.experiments import bench_seconds
-from rig.investigate.investigation import judge
+from rig.investigate.experiments import SimulatedBench, bench_seconds
+from rig.investigate.investigation import judge_recordings
 from rig.planning.plan import make_plan
 from rig.results.document import Document, Section, Table, provenance_section
 from rig.results.prove.draw import Assigned, draw
@@ -35,7 +36,6 @@ from rig.results.prove.run import FAMILIES, INVESTIGATION, ROWS, Proof, diagnosi
 from rig.results.prove.score import LEVEL, REFUSED, STRONG
 from rig.results.prove.simulate import campaign, reference_of, strength
 from rig.results.prove.truth import unseal
-from rig.runs.run_record import RUN_FILE
 
 BENCH, FIRST = "practical", "figure10"
 BUDGET_MIN = 40.0
@@ -101,8 +101,7 @@ def prove_trial(trial: Trial, seed: int, command: Command) -> dict[str, Any]:
         write_text(bench, bench_text(rig.machine))
     own = diagnosis_seed(seed, trial.number)
     found = _investigated(bench, folder, own, command)
-    spent_s = found["bench_seconds"]
-    repeated = _repeated(bench, trial.folder, spent_s, own, command)
+    repeated = _repeated(bench, found["bench_seconds"], own)
     truth = unseal(trial.truth, trial.digest).record(trial.number)
     strengths = {}
     if truth["kind"] != "nothing":
@@ -126,30 +125,27 @@ def _investigated(bench: Path, folder: Path, seed: int, command: Command) -> dic
     file = folder / "investigate.json"
     more = ["--resume"] if is_file(folder / "investigation.json") else [FIRST]
     words = ["investigate", *more, "--bench", str(bench), "--out", str(folder), "--yes"]
-    if not is_file(file):
-        _logged(command, [*words, "--budget", f"{BUDGET_MIN:g}", "--seed", f"{seed}"], folder)
+    log = folder.with_suffix(".log")
+    with open(log, "a", encoding="utf-8") as said, redirect_stdout(said), redirect_stderr(said):
+        if not is_file(file):
+            command([*words, "--budget", f"{BUDGET_MIN:g}", "--seed", f"{seed}"])
     nothing = {"verdict": REFUSED, "effects": [], "experiments": [], "bench_seconds": 0.0}
     return dict(read_json(file)) if is_file(file) else {**nothing, "confirmation": None}
 
 
-def _repeated(
-    bench: Path, folder: Path, least_s: float, seed: int, command: Command
-) -> dict[str, Any]:
-    """Return what all runs of Figure 10 together identify, repeated for at least as long."""
-    each = bench_seconds(make_plan(load_sequence(FIRST), load_bench(bench)))
-    runs = [folder / f"repeated-{k}" for k in range(1, 1 + max(1, math.ceil(least_s / each)))]
-    for k, run in enumerate(runs):
-        if not is_file(run / RUN_FILE):
-            words = ["run", FIRST, "--bench", str(bench), "--yes", "--out", str(run)]
-            _logged(command, [*words, "--seed", f"{seed + k}"], run)
-    found = judge(runs, seed, [], lambda *_: None).diagnosis
+def _repeated(bench: Path, least_s: float, seed: int) -> dict[str, Any]:
+    """Return what Figure 10 identifies, repeated for at least as long."""
+    document = load_bench(bench)
+    simulated, machine = SimulatedBench.of(document), document.value.mock
+    assert machine is not None
+    plan = make_plan(load_sequence(FIRST), document)
+    runs = [
+        simulated.simulate(plan, machine, seed + k).recordings
+        for k in range(max(1, math.ceil(least_s / bench_seconds(plan))))
+    ]
+    every = tuple(replace(r, name=f"{k}/{r.name}") for k, run in enumerate(runs) for r in run)
+    found = judge_recordings(Dataset(every), bench, seed, [], lambda *_: None).diagnosis
     return {"verdict": found.verdict.value, "named": [e.name for e in found.effects]}
-
-
-def _logged(command: Command, words: list[str], beside: Path) -> None:
-    file = beside.with_suffix(".log")
-    with open(file, "a", encoding="utf-8") as log, redirect_stdout(log), redirect_stderr(log):
-        command(words)
 
 
 def row_of(

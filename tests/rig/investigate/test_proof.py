@@ -16,7 +16,7 @@ from rig.config.bench import load_bench
 from rig.investigate import proof
 from rig.results.prove.draw import OUTSIDE_SIZES, draw
 from rig.results.prove.engine import Processes
-from rig.results.prove.run import INVESTIGATION, ON_A_BENCH, begin
+from rig.results.prove.run import FAMILIES, INVESTIGATION, ON_A_BENCH, begin
 
 
 def quiet(*_: Any) -> None:
@@ -59,24 +59,25 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
         return 0
 
     verdict = SimpleNamespace(verdict=Verdict.NOTHING_MISSING, effects=())
-    monkeypatch.setattr(proof, "judge", lambda *_: SimpleNamespace(diagnosis=verdict))
+    monkeypatch.setattr(proof, "judge_recordings", lambda *_: SimpleNamespace(diagnosis=verdict))
     for name in ("campaign", "reference_of"):
         monkeypatch.setattr(proof, name, lambda *_: [])
     monkeypatch.setattr(proof, "strength", lambda *_: {"current": 5.0})
-    begun = begin(tmp_path, 9, 4, INVESTIGATION)
+    begun = begin(tmp_path, 2, 4, INVESTIGATION)
     rows = proof.work(begun, command, Processes(1), quiet)
-    kinds = [r["kind"] for r in rows]
-    assert {kind: kinds.count(kind) for kind in kinds} == {"one": 7, "nothing": 1, "outside": 1}
-    assert {r["state"] for r in rows if r["kind"] == "nothing"} == {"right"}
-    assert {r["state"] for r in rows if r["kind"] != "nothing"} == {"missed"}
-    assert all(r["sha256"] == s.digest for r, s in zip(rows, begun.rigs, strict=True))
+    assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
+        ("one", "missed", "missed")
+    ] * 2
+    assert [r["sha256"] for r in rows] == [s.digest for s in begun.rigs]
     asked.clear()
-    assert proof.work(begin(tmp_path, 9, 4, INVESTIGATION), command, Processes(1), quiet) == rows
+    assert proof.work(begin(tmp_path, 2, 4, INVESTIGATION), command, Processes(1), quiet) == rows
     assert asked == []
     found = proof.figures(rows)
-    assert found["missed"] == found["missed_all"] == proof.wilson(7, 7)
-    assert found["alarms"]["n"] == found["outside"]["n"] == 0
+    assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
+    assert found["alarms"]["of"] == found["outside"]["of"] == 0
     assert read_json(tmp_path / "rows" / "0001.json") == rows[0]
+    drawn = [kind for kind, _ in FAMILIES[INVESTIGATION].assignment(34, 4)]
+    assert {kind: drawn.count(kind) for kind in drawn} == {"one": 27, "nothing": 4, "outside": 3}
 
 
 @pytest.mark.parametrize(
