@@ -32,7 +32,6 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Stack, stack_of
-from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect
 from identification.effects.model import CorrectedModel
 from identification.numerics.arrays import Array
@@ -148,23 +147,23 @@ def weigh(
         outside = 1.0
     elif named and (found.p_after <= RULES.level or little_unseen(found)):
         outside = 1.0 - RULES.incomplete_confidence
-    fitted = [found.final if named else base]
+    fitted = [_Fitted(found.final if named else base)]
     if named:
         fitted += _in_place_of(found, known, wanted)
     else:
-        fitted += [
-            j for n in wanted if n in known for j in [fitted_with(base, base, known[n])] if j
-        ]
-    beyond = [implausible(j) for j in fitted]
-    best = fitted[0]
-    for joint, why in zip(fitted, beyond, strict=True):
-        best = joint if not why and level(best, joint) < -RULES.simpler else best
+        tried = (fitted_with(base, base, known[n]) for n in wanted if n in known)
+        fitted += [_Fitted(joint) for joint in tried if joint is not None]
+    best = fitted[0].joint
+    for one in fitted:
+        better = not one.beyond and level(best, one.joint) < -RULES.simpler
+        best = one.joint if better else best
     hypotheses = []
-    for joint, why in zip(fitted, beyond, strict=True):
-        names, behind = tuple(e.term.name for e in joint.effects), level(best, joint)
-        if not wanted or {*names} <= {*wanted}:
-            weight = 1.0 if joint is best else _weight(behind, why)
-            hypotheses.append(Hypothesis(names, joint, behind, weight, why))
+    for one in fitted:
+        behind = level(best, one.joint)
+        behind = min(behind, 0.0) if one.alike else behind
+        if not wanted or {*one.names} <= {*wanted}:
+            weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
+            hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))
     if named:
         hypotheses.append(Hypothesis((), base, math.inf, max(found.p_value, 1e-6)))
     if verdict is Verdict.OUTSIDE_CATALOGUE:
@@ -187,26 +186,47 @@ def level(best: Joint, joint: Joint) -> float:
     is at most what :func:`separations` expects of fits whose squares differ by as much.
     """
     most = 0.5 * math.sqrt(abs(joint.cost - best.cost))
-    return max(-most, min(preference(best, joint), most))
+    return max(-most, min(preference(best, joint), most)) + 0.0
 
 
-def _in_place_of(found: Search, known: Mapping[str, Effect], wanted: Sequence[str]) -> list[Joint]:
+class _Fitted(NamedTuple):
+    """A fit, and whether the recordings cannot distinguish it from the identified effects although
+    its regressors differ.
+    """
+
+    joint: Joint
+    alike: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(e.term.name for e in self.joint.effects)
+
+    @property
+    def beyond(self) -> str:
+        return implausible(self.joint)
+
+
+def _in_place_of(
+    found: Search, known: Mapping[str, Effect], wanted: Sequence[str]
+) -> list[_Fitted]:
     """Return the fits in which another effect is in the place of one identified effect."""
-    final, out = found.final, list[Joint]()
-    present_names = {e.term.name for e in final.effects}
+    final, out = found.final, list[_Fitted]()
+    here = {e.term.name for e in final.effects}
+    context = Context(final.views, final.nominal)
     for own in final.effects:
         kept = tuple(e for e in final.effects if e is not own)
         without = found.baseline.again(final.nominal, kept) if kept else found.baseline
         rivals = {c.name: c for r in found.rounds if r.name == own.term.name for c in r.rivals}
-        for other in dict.fromkeys((*rivals, *EFFECTS[own.term.name].look_alikes, *wanted)):
-            if other not in known or other in present_names:
+        alike = own.term.indistinct(own.parameters(context), final.views)
+        for other in dict.fromkeys((*rivals, *own.term.look_alikes, *wanted)):
+            if other not in known or other in here:
                 continue
             fits = [fitted_with(found.baseline, without, known[other])]
             tried = rivals[other].joint if other in rivals else final
             if added := [e for e in tried.effects if e.term.name == other]:
                 fits.append(found.baseline.again(tried.nominal, (*kept, *added)))
             if possible := [j for j in fits if j is not None]:
-                out.append(min(possible, key=lambda j: j.cost))
+                out.append(_Fitted(min(possible, key=lambda j: j.cost), other in alike))
     return out
 
 
