@@ -20,6 +20,7 @@ from scipy import stats
 
 from drivers.mock.plant.parts.constants import Machine
 from identification.recording import Dataset
+from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, write_json, write_text
 from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
@@ -144,7 +145,10 @@ def _repeated(bench: Path, least_s: float, seed: int) -> dict[str, Any]:
         for k in range(max(1, math.ceil(least_s / bench_seconds(plan))))
     ]
     every = tuple(replace(r, name=f"{k}/{r.name}") for k, run in enumerate(runs) for r in run)
-    found = judge_recordings(Dataset(every), bench, seed, [], lambda *_: None).diagnosis
+    try:
+        found = judge_recordings(Dataset(every), bench, seed, [], lambda *_: None).diagnosis
+    except InputError:
+        return {"verdict": REFUSED, "named": []}
     return {"verdict": found.verdict.value, "named": [e.name for e in found.effects]}
 
 
