@@ -322,7 +322,10 @@ def design(
     bench_file = load_bench(bench)
     with ShareBar() as bar:
         judged = judge(runs, seed, _effects(question), bar)
-        found = next_experiment(SimulatedBench.of(bench_file), judged, seed, len(runs) + 1, bar)
+        simulated, number = SimulatedBench.of(bench_file), len(runs) + 1
+        found = next_experiment(simulated, judged, seed, number, bar).proposal
+        if found is None:
+            found = next_experiment(simulated, judged, seed, number, bar, cover=True).proposal
     record = {
         **heading("loadrig.design/1"),
         "seed": seed,

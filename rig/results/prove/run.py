@@ -20,7 +20,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
-from rig.results.prove.draw import Assigned, assignment, draw
+from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
 from rig.results.prove.engine import (
     Bundle,
     Engine,
@@ -140,10 +140,16 @@ def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str,
     return simulate_rig(where, draw(*assigned, seed))
 
 
-MOTION, GAS = "motion", "gas"
+MOTION, GAS, INVESTIGATION = "motion", "gas", "investigation"
+ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in sizes)
+"""Effects that are in every run of a bench, not in one recording of a campaign alone."""
+_INVESTIGATED: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
 FAMILIES: Mapping[str, Family] = {
     MOTION: Family(assignment, _seal_motion, _simulate_motion),
     GAS: Family(gas_assignment, seal_gas, simulate_gas),
+    INVESTIGATION: Family(
+        partial(assignment, shares=_INVESTIGATED, single=ON_A_BENCH), _seal_motion, _simulate_motion
+    ),
 }
 
 
