@@ -41,19 +41,12 @@ crossing.
 
 @dataclass(frozen=True)
 class Crossing:
-    """Torque estimated from the crossings of a gap or a hysteresis loop.
+    """Torque estimated from the crossings of a gap or a hysteresis loop."""
 
-    Attributes:
-        inertia: Inertia of the rotor at the joint, kg m^2.
-        torque: Torque that closes the loop, N m; about zero for a gap.
-        share: Ratio of this torque to the torque of the motion.
-        error: Standard error of the ratio, from the scatter over crossings and `gap_scatter`.
-    """
-
-    inertia: float
-    torque: float
-    share: float
-    error: float
+    inertia: float  # inertia of the rotor at the joint, kg m^2
+    torque: float  # torque that closes the loop, N m; about zero for a gap
+    share: float  # ratio of this torque to the torque of the motion
+    error: float  # standard error of the ratio, from the scatter over crossings and `gap_scatter`
 
 
 def crossing_torque(

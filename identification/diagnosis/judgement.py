@@ -44,16 +44,13 @@ proofs).
 
 
 class Judged(NamedTuple):
-    """Verdict of a search.
-
-    Attributes:
-        reason: Reason why the effects of the catalogue do not explain the mismatch, or why the
-            verdict is *nothing missing* in spite of a mismatch; None otherwise.
-    """
+    """Verdict of a search."""
 
     verdict: Verdict
     where: Location | None
     maps: tuple[Map, ...]
+    # Reason why the effects of the catalogue do not explain the mismatch, or why the verdict is
+    # *nothing missing* in spite of a mismatch; None otherwise.
     reason: Reason | None = None
 
 

@@ -92,25 +92,20 @@ def effect_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of the linear problem at one point.
+    """Solution of the linear problem at one point."""
 
-    Attributes:
-        linear_step: Step of the nominal parameters in which the torque is linear, with fixed
-            Stribeck speeds.
-        speed_step: Step of all nominal parameters, with the Stribeck speeds free to first order;
-            only the steps of the Stribeck speeds are used.
-        shapes: Step of the nonlinear parameters that determine an effect's size, relative to the
-            half widths of their search.
-        residual: Whitened residual with the Stribeck speeds free to first order.
-        cost: Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
-            first-order prediction is not attained by a large step of a Stribeck speed.
-    """
-
+    # Step of the nominal parameters in which the torque is linear, with fixed Stribeck speeds.
     linear_step: Array
+    # Step of all nominal parameters, with the Stribeck speeds free to first order; only the steps
+    # of the Stribeck speeds are used.
     speed_step: Array
+    # Step of the nonlinear parameters that determine an effect's size, relative to the half widths
+    # of their search.
     shapes: Array
     effects: tuple[Added, ...]
-    residual: Array
+    residual: Array  # whitened residual with the Stribeck speeds free to first order
+    # Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
+    # first-order prediction is not attained by a large step of a Stribeck speed.
     cost: float
 
 

@@ -30,21 +30,15 @@ from identification.views.view import views
 class HeldOut:
     """Rms errors on recordings set aside, in the equation in which the true effects reduce the
     error most.
-
-    Attributes:
-        equation: Name of the equation.
-        baseline_rms: Error of the nominal model alone, in the unit of the equation.
-        oracle_rms: Error with the true effects, in the unit of the equation.
-        noise_rms: Noise of one row, in the unit of the equation.
-        remaining_strength: Name of each effect to its remaining strength: the error that the effect
-            would cause after a new fit of all other parameters without the effect, over the noise
-            of a row, in the equation in which this ratio is greatest.
     """
 
-    equation: str
-    baseline_rms: float
-    oracle_rms: float
-    noise_rms: float
+    equation: str  # name of the equation
+    baseline_rms: float  # error of the nominal model alone, in the unit of the equation
+    oracle_rms: float  # error with the true effects, in the unit of the equation
+    noise_rms: float  # noise of one row, in the unit of the equation
+    # Name of each effect to its remaining strength: the error that the effect would cause after a
+    # new fit of all other parameters without the effect, over the noise of a row, in the equation
+    # in which this ratio is greatest.
     remaining_strength: Mapping[str, float]
 
 
@@ -93,8 +87,7 @@ def oracle(
     return HeldOut(where, before[where], after[where], noise[where], remaining_strength)
 
 
-MOST_STEPS = 40
-"""Greatest number of groups that the greedy selection adds."""
+MOST_STEPS = 40  # greatest number of groups that the greedy selection adds
 FOLDS = 4
 RIDGE = 1e-3
 """Ridge penalty, relative to the unit norm of the regressors; with it the normal equations are
@@ -104,10 +97,8 @@ LEAST_THRESHOLD = 3.0
 """First threshold of the path: norm of a contribution, relative to the noise of one row; smaller
 contributions occur by chance.
 """
-THRESHOLDS = 20
-"""Number of thresholds on the path, up to the strongest contribution."""
-MOST_ROUNDS = 10
-"""Greatest number of iterations at one threshold."""
+THRESHOLDS = 20  # number of thresholds on the path, up to the strongest contribution
+MOST_ROUNDS = 10  # greatest number of iterations at one threshold
 
 
 @dataclass(frozen=True)
@@ -124,21 +115,13 @@ class Group:
 
 @dataclass(frozen=True)
 class Library:
-    """Inner products of all regressors, scaled to unit norm.
+    """Inner products of all regressors, scaled to unit norm."""
 
-    Attributes:
-        groups: Groups in the order of the columns.
-        gram: Inner products over each fold, shape (f, p, p).
-        moment: Inner products with the mismatch, shape (f, p).
-        power: Sum of squares of the mismatch over each fold, shape (f,).
-        rows: Number of whitened rows.
-    """
-
-    groups: tuple[Group, ...]
-    gram: Array
-    moment: Array
-    power: Array
-    rows: int
+    groups: tuple[Group, ...]  # groups in the order of the columns
+    gram: Array  # inner products over each fold, shape (f, p, p)
+    moment: Array  # inner products with the mismatch, shape (f, p)
+    power: Array  # sum of squares of the mismatch over each fold, shape (f,)
+    rows: int  # number of whitened rows
 
 
 def library(joint: Joint, terms: Sequence[Effect]) -> Library:

@@ -232,20 +232,15 @@ class Kind(Enum):
 class Reason:
     """Reason why the effects of a search do not explain the mismatch, or why the verdict is
     *nothing missing* in spite of a mismatch.
-
-    Attributes:
-        kind: Kind of the reason.
-        search: The search whose effects the reason concerns.
-        effects: Names of the effects; empty if no effect was accepted.
-        needed: Share of the mismatch beyond the noise that the effects must explain.
-        left: Greatest ratio of the error with the effects to the noise floor, of fitted and of
-            unused recordings.
     """
 
-    kind: Kind
-    search: Search
-    effects: tuple[str, ...] = ()
+    kind: Kind  # kind of the reason
+    search: Search  # the search whose effects the reason concerns
+    effects: tuple[str, ...] = ()  # names of the effects; empty if no effect was accepted
+    # Share of the mismatch beyond the noise that the effects must explain.
     needed: float = RULES.adequate
+    # Greatest ratio of the error with the effects to the noise floor, of fitted and of unused
+    # recordings.
     left: float = 0.0
 
 

@@ -237,8 +237,7 @@ LEAST_SHARE, CROWDED = 0.25, 3.0
 """Share of the remaining mismatch from which a recording is reported, and least ratio of this share
 to the share of the rows.
 """
-MOST_OF_IT = 0.8
-"""Share of the mismatch of a recording that the reported interval of time contains."""
+MOST_OF_IT = 0.8  # share of the mismatch of a recording that the reported interval of time contains
 
 
 def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:

@@ -39,10 +39,8 @@ ROUNDS = 8
 """Greatest number of steps; several steps are needed because the fall of friction, and regressors
 that depend on the nominal values, make the problem nonlinear.
 """
-CONVERGED = 1e-5
-"""Relative change of the cost below which the refinement ends."""
-STEP_SHARES = (1.0, 0.5, 0.2)
-"""Shares of a step that are tried."""
+CONVERGED = 1e-5  # relative change of the cost below which the refinement ends
+STEP_SHARES = (1.0, 0.5, 0.2)  # shares of a step that are tried
 RIDGE = 1e-4
 """Weight of a ridge penalty on every parameter, relative to the weight of the rows; of equivalent
 solutions the penalty selects the smallest.
@@ -57,16 +55,13 @@ _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 @dataclass(frozen=True)
 class _Point:
-    """Parameters and their residual.
-
-    Attributes:
-        left: Whitened residual, shape (n,). In all equations except the torque equation, constants
-            that are not reported, such as the zero of an encoder, are projected out.
-    """
+    """Parameters and their residual."""
 
     nominal: Nominal
     effects: tuple[Added, ...]
     stack: Stack
+    # Whitened residual, shape (n,). In all equations except the torque equation, constants that are
+    # not reported, such as the zero of an encoder, are projected out.
     left: Array
 
     @property

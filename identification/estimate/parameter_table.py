@@ -37,8 +37,7 @@ OFFSET_SHARE = 0.1
 """Greatest half width of the interval of an identified offset, relative to the rms torque."""
 WIDEST = 0.5
 """Half width of the 90 % interval over the value above which a parameter is not identifiable."""
-LEAST_RISE = 1e-3
-"""Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
+LEAST_RISE = 1e-3  # ratio of the rise to the Coulomb level below which the rise is not identifiable
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
@@ -368,8 +367,7 @@ def _why(
     return interval
 
 
-TRADE_OFF = 0.9
-"""Least correlation, as a magnitude, at which two parameters count as a trade-off."""
+TRADE_OFF = 0.9  # least correlation, as a magnitude, at which two parameters count as a trade-off
 _SHOWN = 0.3
 """A parameter is listed in a combination if its share is at least this part of the greatest share.
 """

@@ -34,23 +34,17 @@ DELAY_CYCLES = 2.0
 """Delay in control cycles, from the middle of the interval over which the speed is measured to the
 middle of the interval in which the torque acts.
 """
-LAG_RAD = math.pi / 4.0
-"""Phase lag of the open loop due to the delay, at the crossover."""
+LAG_RAD = math.pi / 4.0  # phase lag of the open loop due to the delay, at the crossover
 DELTA_RAD = math.pi / 18.0
 """Phase lag delta of the open loop due to the stiffness, at the crossover."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Stiffness and damping that a host adds at the joint.
+    """Stiffness and damping that a host adds at the joint."""
 
-    Attributes:
-        stiffness: K, N m/rad.
-        damping: D, N m s/rad.
-    """
-
-    stiffness: float
-    damping: float
+    stiffness: float  # K, N m/rad
+    damping: float  # D, N m s/rad
 
 
 def gains(inertia: float, period: float) -> Gains:

@@ -170,8 +170,7 @@ def exponential(x: float) -> float:
 One = TypeVar("One")
 Other = TypeVar("Other")
 Item = TypeVar("Item")
-THREAD = "second thread of the kernels"
-"""First part of the name of the thread."""
+THREAD = "second thread of the kernels"  # first part of the name of the thread
 
 
 @cache

@@ -69,19 +69,12 @@ def equilibrated(normal: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Design:
-    """A bounded linear problem: minimise |columns x - target|^2 with low <= x <= high.
+    """A bounded linear problem: minimise |columns x - target|^2 with low <= x <= high."""
 
-    Attributes:
-        columns: Shape (n, p).
-        target: Shape (n,).
-        low: Least value of each coefficient, shape (p,).
-        high: Greatest value of each coefficient, shape (p,).
-    """
-
-    columns: Array
-    target: Array
-    low: Array
-    high: Array
+    columns: Array  # shape (n, p)
+    target: Array  # shape (n,)
+    low: Array  # least value of each coefficient, shape (p,)
+    high: Array  # greatest value of each coefficient, shape (p,)
 
 
 def bounded_least_squares(design: Design) -> tuple[Array, float]:
@@ -123,19 +116,13 @@ class Slope(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """End of a search.
+    """End of a search."""
 
-    Attributes:
-        x: Point at which the search ended, shape (p,).
-        cost: Cost at this point.
-        steps: Number of steps tried.
-        beaten: Whether the search was stopped because it would not have reached the cost ``reach``
-            of another search.
-    """
-
-    x: Array
-    cost: float
-    steps: int
+    x: Array  # point at which the search ended, shape (p,)
+    cost: float  # cost at this point
+    steps: int  # number of steps tried
+    # Whether the search was stopped because it would not have reached the cost `reach` of another
+    # search.
     beaten: bool = False
 
 
@@ -395,22 +382,15 @@ def bounded_step(normal: Array, gradient: Array, damping: float, x: Array, box: 
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Normal equations with the extra unknowns eliminated; p parameters, m blocks.
+    """Normal equations with the extra unknowns eliminated; p parameters, m blocks."""
 
-    Attributes:
-        matrix: Schur complement of the extra unknowns in the normal matrix, shape (p, p).
-        scores: Gradient of half the sum of squares of each block, shape (m, p).
-        cross: Part of the normal matrix with extra unknowns as rows and parameters as columns,
-            shape (m, p).
-        pull: Gradient with respect to each extra unknown, shape (m,).
-        held: Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not
-            depend on its extra unknown, so that this unknown keeps its value.
-    """
-
-    matrix: Array
-    scores: Array
+    matrix: Array  # schur complement of the extra unknowns in the normal matrix, shape (p, p)
+    scores: Array  # gradient of half the sum of squares of each block, shape (m, p)
+    # Part of the normal matrix with extra unknowns as rows and parameters as columns, shape (m, p).
     cross: Array
-    pull: Array
+    pull: Array  # gradient with respect to each extra unknown, shape (m,)
+    # Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not depend on
+    # its extra unknown, so that this unknown keeps its value.
     held: Array
 
     def own_step(self, step: Array) -> Array:
@@ -420,19 +400,12 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class BlockArrow:
-    """Jacobian of r rows in p parameters and m extra unknowns; as a dense matrix, shape (r, p + m).
+    """Jacobian of r rows in p parameters and m extra unknowns; dense: shape (r, p + m)."""
 
-    Attributes:
-        parameters: Derivatives with respect to the parameters, shape (r, p).
-        own: Derivative of each row with respect to the extra unknown of its block, shape (r,).
-        owners: Block of each row, shape (r,).
-        blocks: Number of blocks, m.
-    """
-
-    parameters: Array
-    own: Array
-    owners: NDArray[np.int64]
-    blocks: int
+    parameters: Array  # derivatives with respect to the parameters, shape (r, p)
+    own: Array  # derivative of each row with respect to the extra unknown of its block, shape (r,)
+    owners: NDArray[np.int64]  # block of each row, shape (r,)
+    blocks: int  # number of blocks, m
 
     def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
         """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to

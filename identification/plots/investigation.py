@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from identification.numerics.arrays import Array
 from identification.plots.style import BLUE, MEASURED, MODEL, ZERO, figure, legend_above, thinned
 
-FEW = 6
-"""Number of hypotheses that are drawn, the most likely ones of any experiment."""
+FEW = 6  # number of hypotheses that are drawn, the most likely ones of any experiment
 
 
 def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Figure:

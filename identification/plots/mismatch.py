@@ -28,12 +28,10 @@ from identification.plots.style import (
 
 _OPENING_WIDTH = 4.4
 """Width of the first figure, inches: its text is legible on a screen of 390 pixels."""
-_FEW_DECADES = 300.0
-"""Ratio of a logarithmic axis below which the ticks at 2 and 5 have labels too."""
+_FEW_DECADES = 300.0  # ratio of a logarithmic axis below which the ticks at 2 and 5 have labels too
 _COLUMNS = 2
 _MOST_MAPS = 8
-_LEAST_SHARE = 0.005
-"""Share of the mismatch below which a coordinate is not drawn."""
+_LEAST_SHARE = 0.005  # share of the mismatch below which a coordinate is not drawn
 _DRAWN = {
     "rad": (math.degrees(1.0), "deg"),
     "Pa": (1e-3, "kPa"),
@@ -200,8 +198,7 @@ def _quantity(missing: Curve) -> str:
     return other.get(missing.equation, "force" if missing.residual_unit == "N" else "torque")
 
 
-Band = tuple[float, float, float]
-"""A share with the lower and upper end of its interval."""
+Band = tuple[float, float, float]  # a share with the lower and upper end of its interval
 
 
 def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:

@@ -18,13 +18,10 @@ from identification.recording import Array
 from identification.signals import central_difference, resample
 from identification.views.view import View, recent
 
-RISE = 0.5
-"""Assumed rise of static over Coulomb friction, as a share of Coulomb friction."""
-LARGEST_STEP = 0.4
-"""Greatest change of log omega_s in one iteration."""
+RISE = 0.5  # assumed rise of static over Coulomb friction, as a share of Coulomb friction
+LARGEST_STEP = 0.4  # greatest change of log omega_s in one iteration
 _AT_LIMIT = 1e-9
-LEAST_RISE = 1e-6
-"""Least rise of static over Coulomb friction, as a share of Coulomb friction."""
+LEAST_RISE = 1e-6  # least rise of static over Coulomb friction, as a share of Coulomb friction
 LEAST_FALL = 1e-3
 """Rise, as a share of Coulomb friction, below which dry friction counts as constant with speed."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
@@ -130,41 +127,32 @@ class Nominal(NominalTorque):
 
     Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
     series of a recording.
-
-    Attributes:
-        values: Name to value, at the joint.
-        free: Names of the estimated parameters.
-        alpha: Stribeck exponent.
-        undeclared: Load torque of identified effects that turn with the joint: coefficients of
-            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
-            declared load.
-        zero_A: Zero offset of the logged current, from identified effects, A.
-        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
-            the number of recordings, if each recording has its own origin of angles), and
-            coefficients; empty without ripple.
-        efficiency: Efficiency of the transmission, from identified effects.
-        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
-            derivatives with respect to rises and Stribeck speeds; None without such an effect.
-        late_s: Delay of the torque samples relative to the angle samples, from an identified
-            effect, s; 0 without such an effect.
-        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
-            0 without such an effect.
-        play: Width of a play before friction, from an identified effect, rad; 0 without one.
-        most: Name of each static level to its greatest value by the recordings; empty for no
-            limits.
     """
 
-    values: Mapping[str, float]
-    free: tuple[str, ...]
-    alpha: float
+    values: Mapping[str, float]  # name to value, at the joint
+    free: tuple[str, ...]  # names of the estimated parameters
+    alpha: float  # Stribeck exponent
+    # Load torque of identified effects that turn with the joint: coefficients of sin(angle),
+    # cos(angle), angle and 1, N m. The gear transmits this torque like that of a declared load.
     undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    zero_A: float = 0.0
+    zero_A: float = 0.0  # zero offset of the logged current, from identified effects, A
+    # Ripple of the torque constant, from identified effects: cycles per motor turn (and the number
+    # of recordings, if each recording has its own origin of angles), and coefficients; empty
+    # without ripple.
     ripple: tuple[tuple[float, ...], ...] = ()
-    efficiency: float = 1.0
+    efficiency: float = 1.0  # efficiency of the transmission, from identified effects
+    # Stribeck exponent of an identified effect that replaces `alpha` in derivatives with respect to
+    # rises and Stribeck speeds; None without such an effect.
     fitted_alpha: float | None = None
+    # Delay of the torque samples relative to the angle samples, from an identified effect, s; 0
+    # without such an effect.
     late_s: float = 0.0
+    # Presliding stiffness of friction, from an identified effect, N m/rad; 0 without such an
+    # effect.
     presliding_stiffness: float = 0.0
+    # Width of a play before friction, from an identified effect, rad; 0 without one.
     play: float = 0.0
+    # Name of each static level to its greatest value by the recordings; empty for no limits.
     most: Mapping[str, float] = field(default_factory=dict)
 
     def without_effects(self) -> Nominal:

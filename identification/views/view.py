@@ -191,8 +191,7 @@ WITHIN_STEP = 0.3
 """Standard deviation of the instant of a breakaway within its sample, relative to the sample period
 (0.29 for a uniform distribution).
 """
-SURE_N_M = 0.1
-"""Approximate torque noise of one sample on the practical bench."""
+SURE_N_M = 0.1  # approximate torque noise of one sample on the practical bench
 P = ParamSpec("P")
 R = TypeVar("R")
 KEPT = 128
@@ -221,72 +220,46 @@ class View:
     stated otherwise.
 
     Instances are compared by identity, as keys of caches.
-
-    Attributes:
-        recording: The recording.
-        index: Index among the recordings under diagnosis.
-        time: Time stamps, s.
-        run_time: Time since the start of the first recording, s.
-        angle: Joint angle by the finer encoder, rad.
-        velocity: Joint velocity, rad/s.
-        acceleration: Joint acceleration, rad/s^2.
-        torque: Drive torque less known loads, N m.
-        raw_torque: Unfiltered ``torque``, for events within a few samples, N m.
-        twist: Motor acceleration over the gear ratio less joint acceleration, rad/s^2; zero if
-            friction is a function of the motor's motion.
-        known: Known loads (a declared weight that turns with the joint), N m.
-        hanging: Known loads without their inertia torque, N m.
-        moment: F_P L1, N m.
-        sense: Sign of friction: direction of motion, or at rest the sign of the torque.
-        still: Samples at rest.
-        rest_time: Duration of the present or last rest, s.
-        reversal_time: Time since the last reversal, s.
-        reversal_travel: Travel since the last reversal, rad.
-        motor: Angle of the motor shaft, rad; without a motor encoder computed from the joint angle.
-        motor_speed: Speed of the motor shaft, rad/s.
-        lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
-        current: Motor current, A, or None if not recorded.
-        voltage: Voltage, V, NaN while the power stage is off, or None if not recorded.
-        supply: Supply voltage, V, or None if not recorded.
-        temperature: Temperature, deg C, or None if not recorded.
-        low_pass: Filter to the stated bandwidth.
-        moving: Mask of the filter outputs that depend on no sample at rest, at a reversal or in
-            unsteady motion, shape (n,).
-        unsteady: Mask of the filter outputs that depend on no sample at rest or at a reversal, for
-            machines that hardly move steadily, such as in slow motion against cogging, shape (n,).
-        breakaways: Samples at which a rest ends, shape (e,).
-        behind: Cache of the view with delayed motion that was computed last: delay, s, to view.
     """
 
     recording: Recording
-    index: int
-    time: Array
-    run_time: Array
-    angle: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    raw_torque: Array
+    index: int  # index among the recordings under diagnosis
+    time: Array  # time stamps, s
+    run_time: Array  # time since the start of the first recording, s
+    angle: Array  # joint angle by the finer encoder, rad
+    velocity: Array  # joint velocity, rad/s
+    acceleration: Array  # joint acceleration, rad/s^2
+    torque: Array  # drive torque less known loads, N m
+    raw_torque: Array  # unfiltered `torque`, for events within a few samples, N m
+    # Motor acceleration over the gear ratio less joint acceleration, rad/s^2; zero if friction is a
+    # function of the motor's motion.
     twist: Array
-    known: Array
-    hanging: Array
-    moment: Array
-    sense: Array
-    still: BoolArray
-    rest_time: Array
-    reversal_time: Array
-    reversal_travel: Array
+    known: Array  # known loads (a declared weight that turns with the joint), N m
+    hanging: Array  # known loads without their inertia torque, N m
+    moment: Array  # F_P L1, N m
+    sense: Array  # sign of friction: direction of motion, or at rest the sign of the torque
+    still: BoolArray  # samples at rest
+    rest_time: Array  # duration of the present or last rest, s
+    reversal_time: Array  # time since the last reversal, s
+    reversal_travel: Array  # travel since the last reversal, rad
+    # Angle of the motor shaft, rad; without a motor encoder computed from the joint angle.
     motor: Array
-    motor_speed: Array
+    motor_speed: Array  # speed of the motor shaft, rad/s
+    # Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
     lag: Array | None
-    current: Array | None
-    voltage: Array | None
-    supply: Array | None
-    temperature: Array | None
-    low_pass: Decimator
+    current: Array | None  # motor current, A, or None if not recorded
+    voltage: Array | None  # voltage, V, NaN while the power stage is off, or None if not recorded
+    supply: Array | None  # supply voltage, V, or None if not recorded
+    temperature: Array | None  # temperature, deg C, or None if not recorded
+    low_pass: Decimator  # filter to the stated bandwidth
+    # Mask of the filter outputs that depend on no sample at rest, at a reversal or in unsteady
+    # motion, shape (n,).
     moving: BoolArray
+    # Mask of the filter outputs that depend on no sample at rest or at a reversal, for machines
+    # that hardly move steadily, such as in slow motion against cogging, shape (n,).
     unsteady: BoolArray
-    breakaways: np.ndarray
+    breakaways: np.ndarray  # samples at which a rest ends, shape (e,)
+    # Cache of the view with delayed motion that was computed last: delay, s, to view.
     behind: dict[float, View] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property

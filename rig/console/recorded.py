@@ -29,8 +29,7 @@ from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
 MOST_SHOWN: Final = 300
-_FRESH_S: Final = 3.0
-"""Time for which a list is reused, s."""
+_FRESH_S: Final = 3.0  # time for which a list is reused, s
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
 
 
@@ -180,10 +179,8 @@ class Recorded:
 MOST_COMPARED: Final = 6
 """Greatest number of runs in a comparison: the number of colours of the figure."""
 KEPT: Final = 12
-MAKE_S: Final = 180.0
-"""Longest time, s, in which a page must be made."""
-NICE = 10
-"""Increase of the niceness of the process that makes a page."""
+MAKE_S: Final = 180.0  # longest time, s, in which a page must be made
+NICE = 10  # increase of the niceness of the process that makes a page
 _SHOWN: Final = 2000
 
 

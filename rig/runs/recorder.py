@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from drivers.interfaces import RawFrame
 
 FLUSH_NS = 100_000_000
-LOOK_NS = 500_000_000
-"""Time between two checks that the file is still at its place, ns of run time."""
+LOOK_NS = 500_000_000  # time between two checks that the file is still at its place, ns of run time
 
 
 _FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})

@@ -33,18 +33,15 @@ class SimulatedLine:
         baud: Bit rate, bit/s, with 8N1.
         station: The device at the far end.
         echo: Whether the host's adapter returns the bytes that it sends (echo).
-
-    Attributes:
-        station: The device at the far end.
-        filters: Hooks for fault injection, applied in order to every message.
-        cut: Whether the line is unplugged, so that nothing arrives in either direction.
     """
 
     def __init__(
         self, clock: SimulatedClock, baud: int, station: Station, echo: bool = False
     ) -> None:
-        self.station = station
+        self.station = station  # the device at the far end
+        # Hooks for fault injection, applied in order to every message.
         self.filters: list[ByteFilter] = []
+        # Whether the line is unplugged, so that nothing arrives in either direction.
         self.cut = False
         self._clock = clock
         self._byte_ns = _BITS_PER_BYTE * NS // baud

@@ -237,10 +237,8 @@ _WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210.0, 297.0, 15.0
 _PICTURE_MM = 62.0
 _ROW_MM = 4.2
 _POINTS_PER_MM = 72.0 / 25.4
-_ADVANCE = 0.602
-"""Width of a character of the font (DejaVu Sans Mono), relative to its size."""
-_LONGEST_CELL = 64
-"""Longest line of a cell, characters: that of a digest."""
+_ADVANCE = 0.602  # width of a character of the font (DejaVu Sans Mono), relative to its size
+_LONGEST_CELL = 64  # longest line of a cell, characters: that of a digest
 _BAD, _GOOD = "#b00020", "#00713d"
 
 

@@ -29,8 +29,7 @@ from rig.results.diagnose.model_file import model_of
 
 TRAVEL_SHARE = 0.85
 SPEED_SHARE = 0.5
-WEIGHT_SHARE = 0.75
-"""Shares of a bench's limits that an experiment uses."""
+WEIGHT_SHARE = 0.75  # shares of a bench's limits that an experiment uses
 _LIGHT = 1.0 / 3.0
 _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)

@@ -17,18 +17,12 @@ from rig.common.provenance import sha256_file
 
 @dataclass(frozen=True)
 class OwnFile:
-    """A file with effects of one's own.
+    """A file with effects of one's own."""
 
-    Attributes:
-        path: The file; None for no file.
-        sha256: Its SHA-256.
-        effects: Its effects, in the order of their definition.
-        injects: Names of the effects that functions of the file inject into a simulated machine.
-    """
-
-    path: Path | None = None
+    path: Path | None = None  # the file; None for no file
     sha256: str = ""
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = ()  # its effects, in the order of their definition
+    # Names of the effects that functions of the file inject into a simulated machine.
     injects: frozenset[str] = frozenset()
 
     @cached_property

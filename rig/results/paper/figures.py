@@ -51,25 +51,15 @@ Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 
 @dataclass(frozen=True)
 class Exhibit:
-    """Content of the page under one heading.
+    """Content of the page under one heading."""
 
-    Attributes:
-        name: Key in the result file, and file name of its data: ``fig_2``.
-        title: Heading.
-        paper: What the paper prints or shows, as text.
-        found: Our results, one sentence each.
-        pictures: Figures; the first is named like the exhibit.
-        data: Plotted data by the name of the picture.
-        table: Values side by side, if any.
-    """
-
-    name: str
-    title: str
-    paper: str
-    found: tuple[str, ...]
-    pictures: tuple[Picture, ...] = ()
-    data: Mapping[str, Rows] | None = None
-    table: Table | None = None
+    name: str  # key in the result file, and file name of its data: `fig_2`
+    title: str  # heading
+    paper: str  # what the paper prints or shows, as text
+    found: tuple[str, ...]  # our results, one sentence each
+    pictures: tuple[Picture, ...] = ()  # figures; the first is named like the exhibit
+    data: Mapping[str, Rows] | None = None  # plotted data by the name of the picture
+    table: Table | None = None  # values side by side, if any
 
 
 def columns(**named: Array) -> Rows:
@@ -492,8 +482,7 @@ def _uniform_data(study: UniformStudy) -> Rows:
 
 
 LOOP_BENCH, LOOP_SEQUENCE, LOOP_STAGE = "practical_hot", "hotfire", "flow"
-SETTLED = 0.02
-"""Relative deviation from the commanded flow up to which a flow counts as settled."""
+SETTLED = 0.02  # relative deviation from the commanded flow up to which a flow counts as settled
 _SMOOTHING_S = (
     0.05  # settling is judged on means over this time, so that sensor noise has little influence
 )
@@ -501,27 +490,16 @@ _SMOOTHING_S = (
 
 @dataclass(frozen=True)
 class Firing:
-    """The closed-loop stage of a hot firing; each array of shape (n,).
+    """The closed-loop stage of a hot firing; each array of shape (n,)."""
 
-    Attributes:
-        flow: Flow command of the stage.
-        period: Sampling period, s.
-        time: Time since the start of the stage, s.
-        flows: Commanded flow, and flow computed from pressure and angle, kg/s.
-        pressures: Commanded and measured pressure, Pa.
-        angles: Commanded and measured valve angle, rad.
-        current: Motor current, A.
-        force: Contact force, N.
-    """
-
-    flow: FlowSection
-    period: float
-    time: Array
-    flows: tuple[Array, Array]
-    pressures: tuple[Array, Array]
-    angles: tuple[Array, Array]
-    current: Array
-    force: Array
+    flow: FlowSection  # flow command of the stage
+    period: float  # sampling period, s
+    time: Array  # time since the start of the stage, s
+    flows: tuple[Array, Array]  # commanded flow, and flow computed from pressure and angle, kg/s
+    pressures: tuple[Array, Array]  # commanded and measured pressure, Pa
+    angles: tuple[Array, Array]  # commanded and measured valve angle, rad
+    current: Array  # motor current, A
+    force: Array  # contact force, N
 
 
 def fire(scratch: Path, seed: int) -> Firing:
@@ -634,16 +612,12 @@ def _settling(found: Firing) -> str:
     return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."
 
 
-PAPER_DEG_S = 50.0
-"""Opening speed in the paper, deg/s."""
-SLOW_DEG_S = 5.0
-"""Speed, deg/s: the pressure follows within 7 %, and the joint does not stick."""
+PAPER_DEG_S = 50.0  # opening speed in the paper, deg/s
+SLOW_DEG_S = 5.0  # speed, deg/s: the pressure follows within 7 %, and the joint does not stick
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
-STEADY = 0.05
-"""Relative deviation of the speed up to which the motion counts as uniform."""
-SMOOTHING_S = 0.020
-"""Time, s, over which the speed is computed from the joint encoder."""
+STEADY = 0.05  # relative deviation of the speed up to which the motion counts as uniform
+SMOOTHING_S = 0.020  # time, s, over which the speed is computed from the joint encoder
 REST_S = 0.2
 
 
@@ -651,30 +625,19 @@ REST_S = 0.2
 class Sweep:
     """One opening of the valve as measured by the sensors of the bench; arrays of shape (n,), from
     the start of the motion.
-
-    Attributes:
-        speed_deg_s: Commanded speed.
-        time: Time, s.
-        angle: Angle of the joint encoder, rad.
-        current: Mean current over each cycle, A.
-        pressure: Pressure by the transmitter, Pa.
-        area: Impacted area A_s at the angle, m^2.
-        steady_pressure: Steady pressure at that angle, Pa.
-        uniform: Samples at the commanded speed.
-        rank_pressure: Spearman's rank correlation of current and pressure over the samples in
-            ``uniform``.
-        rank_area: Spearman's rank correlation of current and area over the samples in ``uniform``.
     """
 
-    speed_deg_s: float
-    time: Array
-    angle: Array
-    current: Array
-    pressure: Array
-    area: Array
-    steady_pressure: Array
-    uniform: NDArray[np.bool_]
+    speed_deg_s: float  # commanded speed
+    time: Array  # time, s
+    angle: Array  # angle of the joint encoder, rad
+    current: Array  # mean current over each cycle, A
+    pressure: Array  # pressure by the transmitter, Pa
+    area: Array  # impacted area A_s at the angle, m^2
+    steady_pressure: Array  # steady pressure at that angle, Pa
+    uniform: NDArray[np.bool_]  # samples at the commanded speed
+    # Spearman's rank correlation of current and pressure over the samples in `uniform`.
     rank_pressure: float
+    # Spearman's rank correlation of current and area over the samples in `uniform`.
     rank_area: float
 
     @property

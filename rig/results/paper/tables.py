@@ -48,8 +48,7 @@ RATE_HZ = 1000.0
 """Duration, s (one period of the command), and sample rate, Hz, which the paper does not state. The
 fitness sqrt(sum e^2) is the sum over all samples of this duration.
 """
-WRONG_BASIN_PERCENT = 20.0
-"""Largest error, %, of a parameter but J in the right basin."""
+WRONG_BASIN_PERCENT = 20.0  # largest error, %, of a parameter but J in the right basin
 
 
 @dataclass(frozen=True)

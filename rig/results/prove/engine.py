@@ -30,8 +30,7 @@ from rig.config.campaign import load_campaign
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-DEATHS = 3
-"""Number of workers that may die in a row, or on one task, without a result."""
+DEATHS = 3  # number of workers that may die in a row, or on one task, without a result
 
 
 class Engine(Protocol):
@@ -60,8 +59,7 @@ def died(what: str) -> InputError:
     )
 
 
-Files = Mapping[str, bytes]
-"""Contents of files by their paths relative to a folder, with slashes."""
+Files = Mapping[str, bytes]  # contents of files by their paths relative to a folder, with slashes
 
 
 class Bundle(NamedTuple):
@@ -139,10 +137,8 @@ def _changed(record: Any, change: Callable[[str], str]) -> Any:
     return record
 
 
-ORPHANED = 1
-"""Exit status of a worker whose parent has died."""
-AHEAD = 2
-"""Number of tasks per worker that are submitted at once."""
+ORPHANED = 1  # exit status of a worker whose parent has died
+AHEAD = 2  # number of tasks per worker that are submitted at once
 
 
 class Processes(NamedTuple):

@@ -21,8 +21,7 @@ from rig.results.prove.excitation import CYCLE_S, Array
 from rig.results.prove.truth import Sealed, place_of_trial, repeated_salt, seal_truth
 
 BURN_S = 20.0
-MOVE_S = 0.25
-"""Duration of a step of the valve, s."""
+MOVE_S = 0.25  # duration of a step of the valve, s
 
 
 class GasExperiment(NamedTuple):
@@ -77,10 +76,8 @@ RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05,
 """Deviation of true constants from the campaign file's: relative; absolute for the exponent."""
 GRAIN_SPREAD = 0.03
 """Relative scatter of the free volumes within a trial, which comes from different grain lengths."""
-NOISE_SHARES = (0.001, 0.0025)
-"""Noise of the transmitter as a share of its range."""
-ZERO_SHARE = 0.0003
-"""Largest zero error of the transmitter after taring, as a share of its range."""
+NOISE_SHARES = (0.001, 0.0025)  # noise of the transmitter as a share of its range
+ZERO_SHARE = 0.0003  # largest zero error of the transmitter after taring, as a share of its range
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
 """Largest errors of valve dimensions and encoder zero, and delay of the pressure."""
 
@@ -107,22 +104,14 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
 
 
 class GasRig(NamedTuple):
-    """Drawn data of one gas trial.
+    """Drawn data of one gas trial."""
 
-    Attributes:
-        kind: Kind of trial: no effect, one of the catalogue, or one outside it.
-        volumes_m3: Free volume of each firing.
-        angle_zero_rad: True minus recorded valve angle.
-        pressure_zero_Pa: Recorded pressure minus transmitter pressure.
-        late_cycles: Delay of pressure relative to angle, cycles.
-    """
-
-    kind: Kind
+    kind: Kind  # kind of trial: no effect, one of the catalogue, or one outside it
     machine: Machine
-    volumes_m3: tuple[float, ...]
-    angle_zero_rad: float
-    pressure_zero_Pa: float
-    late_cycles: int
+    volumes_m3: tuple[float, ...]  # free volume of each firing
+    angle_zero_rad: float  # true minus recorded valve angle
+    pressure_zero_Pa: float  # recorded pressure minus transmitter pressure
+    late_cycles: int  # delay of pressure relative to angle, cycles
     seed: int
 
 

@@ -21,21 +21,16 @@ from rig.sources import load_source
 
 
 class Judgement(NamedTuple):
-    """Judgement of one trial.
+    """Judgement of one trial."""
 
-    Attributes:
-        diagnosis: The record of ``rig diagnose --json``.
-        baselines: Effects that each baseline method selects, the most important first.
-        oracle: Function of the true names that returns the record of
-            :class:`identification.diagnosis.oracle.HeldOut` or None.
-        left: Residual of the nominal model's fit in each equation, in the unit of the equation.
-    """
-
-    diagnosis: Mapping[str, Any]
+    diagnosis: Mapping[str, Any]  # the record of `rig diagnose --json`
+    # Effects that each baseline method selects, the most important first.
     baselines: Mapping[str, Sequence[str]]
+    # Function of the true names that returns the record of `HeldOut` or None.
     oracle: Callable[[Sequence[str]], Mapping[str, Any] | None]
     seconds: float
     baseline_seconds: float
+    # Residual of the nominal model's fit in each equation, in the unit of the equation.
     left: Mapping[str, float] = MappingProxyType({})
 
 

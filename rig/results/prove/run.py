@@ -117,17 +117,14 @@ Seed = Sequence[int]
 
 
 class Family(NamedTuple):
-    """Functions that make the trials of one proof.
+    """Functions that make the trials of one proof."""
 
-    Attributes:
-        assignment: Function of number of trials and seed; returns kind and effects of each trial.
-        seal: Function of folder, number, kind and effects, and seed; returns the sealed trial.
-        simulate: Function of sealed trial, kind and effects, and seed; writes the campaign and
-            returns the strength by channel.
-    """
-
+    # Function of number of trials and seed; returns kind and effects of each trial.
     assignment: Callable[[int, int], list[Assigned]]
+    # Function of folder, number, kind and effects, and seed; returns the sealed trial.
     seal: Callable[[Path, int, Assigned, Seed], Sealed]
+    # Function of sealed trial, kind and effects, and seed; writes the campaign and returns the
+    # strength by channel.
     simulate: Callable[[Sealed, Assigned, Seed], dict[str, float]]
 
 
@@ -223,21 +220,15 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
 
 
 class Trial(NamedTuple):
-    """One trial as it is sent to a worker.
-
-    Attributes:
-        assigned: Kind and effects.
-        sealed: Content of the sealed truth, which the worker writes to its disk, and reads, only
-            after the diagnosis.
-        truth: Path of the sealed truth where the proof was begun, for messages.
-        digest: SHA-256 of the sealed truth.
-    """
+    """One trial as it is sent to a worker."""
 
     number: int
-    assigned: Assigned
+    assigned: Assigned  # kind and effects
+    # Content of the sealed truth, which the worker writes to its disk, and reads, only after the
+    # diagnosis.
     sealed: bytes
-    truth: Path
-    digest: str
+    truth: Path  # path of the sealed truth where the proof was begun, for messages
+    digest: str  # SHA-256 of the sealed truth
 
 
 class Proved(NamedTuple):
@@ -319,8 +310,7 @@ def diagnosis_seed(seed: int, number: int) -> int:
 
 
 SUFFIXES = (".yaml", ".yml", ".json")
-PREFIX = "rig-"
-"""Prefix of a rig's folder if its truth is named by a number."""
+PREFIX = "rig-"  # prefix of a rig's folder if its truth is named by a number
 
 
 def sealed_rigs(home: Path) -> list[Sealed]:
@@ -355,13 +345,10 @@ class Task(NamedTuple):
 
 
 class Made(NamedTuple):
-    """One rig that was made.
-
-    Attributes:
-        files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
-    """
+    """One rig that was made."""
 
     name: str
+    # Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
     files: Files
 
 
@@ -560,17 +547,13 @@ def score_all(
 
 
 class ToScore(NamedTuple):
-    """One rig to score.
-
-    Attributes:
-        campaign: Campaign of the rig if the true structure is fitted to it, else None.
-        names: True effects of the rig.
-        reference: Campaign of the rig without its effects, or None if there is none.
-    """
+    """One rig to score."""
 
     name: str
+    # Campaign of the rig if the true structure is fitted to it, else None.
     campaign: Path | Bundle | None
-    names: Sequence[str]
+    names: Sequence[str]  # true effects of the rig
+    # Campaign of the rig without its effects, or None if there is none.
     reference: Path | Bundle | None
 
 

@@ -33,8 +33,7 @@ LIKE: Mapping[str, frozenset[str]] = {
 speed and torque give the direction of motion and of the current, torque rises with the load, the
 machine warms up with time, and the torque changes most with the acceleration and after reversals.
 """
-REFUSED = "refused"
-"""Verdict of a trial that could not be diagnosed."""
+REFUSED = "refused"  # verdict of a trial that could not be diagnosed
 
 
 def located(
@@ -79,15 +78,12 @@ def located(
     }
 
 
-CONFIDENT = 0.9
-"""Confidence of a name outside the catalogue above which it is a gross error."""
+CONFIDENT = 0.9  # confidence of a name outside the catalogue above which it is a gross error
 MOST_NAMED = 3
 """Number of a baseline's effects that count for two injected; a diagnosis names as many."""
-WORTH = 0.05
-"""Least gain of the oracle, over the noise, for which the diagnosis is compared."""
+WORTH = 0.05  # least gain of the oracle, over the noise, for which the diagnosis is compared
 FAINT = 1e-12
-NAMED = ("name", "alias_group", "confidence")
-"""Values of an identified effect that a row holds."""
+NAMED = ("name", "alias_group", "confidence")  # values of an identified effect that a row holds
 VERSION = 7
 """Version of the rows and recordings; a proof that began with another version is not continued."""
 
@@ -266,12 +262,9 @@ def rate(hits: float, of: int) -> dict[str, Any]:
     return {"n": hits, "of": of, "share": hits / of if of else None, "low": low, "high": high}
 
 
-BINS = 10
-"""Number of bins of confidence between 0 and 1."""
-PARTS = 3
-"""Number of parts with equally many values into which a numeric axis is divided."""
-FEW = 5
-"""Number of different values of a numeric axis up to which each value is a part of its own."""
+BINS = 10  # number of bins of confidence between 0 and 1
+PARTS = 3  # number of parts with equally many values into which a numeric axis is divided
+FEW = 5  # number of different values of a numeric axis up to which each value is a part of its own
 
 
 def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -359,8 +352,7 @@ def _parts(pairs: Sequence[tuple[Any, Row]]) -> Iterator[dict[str, Any]]:
 
 PROVE_SCHEMA = "loadrig.prove/3"
 RESULT_FILE = "prove.json"
-STRONG = 3.0
-"""Least strength of an effect that must be identified: rms change over noise."""
+STRONG = 3.0  # least strength of an effect that must be identified: rms change over noise
 TORQUE = "current"
 """Channel in which the torque of an effect is measured: the motor current during motion."""
 NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}

@@ -33,8 +33,7 @@ from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 MOVING_RAD_S = 0.02
-SETTLE_S = 0.5
-"""Time under power before each recording, s."""
+SETTLE_S = 0.5  # time under power before each recording, s
 CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "temperature")
 
 

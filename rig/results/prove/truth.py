@@ -142,22 +142,16 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
 
 
 CAMPAIGN_FILE = "campaign.yaml"
-SEALED = "sealed"
-"""Folder of the truths."""
+SEALED = "sealed"  # folder of the truths
 
 
 class Sealed(NamedTuple):
-    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated.
+    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated."""
 
-    Attributes:
-        name: Name of the rig; that of a trial of this program is its number, from 0001.
-        digest: SHA-256 of the truth's file.
-    """
-
-    name: str
+    name: str  # name of the rig; that of a trial of this program is its number, from 0001
     campaign: Path
     truth: Path
-    digest: str = ""
+    digest: str = ""  # SHA-256 of the truth's file
 
     @property
     def reference(self) -> Path:
@@ -184,8 +178,7 @@ def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: st
     return where._replace(digest=seal(where.truth, content, salt))
 
 
-_SALT = 2
-"""Separates the draws of salts from those of trials and diagnoses."""
+_SALT = 2  # separates the draws of salts from those of trials and diagnoses
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
