@@ -56,9 +56,7 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
-    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
-    those of :func:`contact_force`.
-    """
+    """Return the contact moment F_P L1 (eq. 13, m_L), N m; arguments as :func:`contact_force`."""
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm
     if arm is None:

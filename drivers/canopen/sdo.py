@@ -52,9 +52,7 @@ class Wire(Protocol):
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that receives frames of the link while it waits, in simulated time and in real
-    time.
-    """
+    """SDO client that receives frames of the link while it waits, in simulated and in real time."""
 
     limit_s: float | None = None  # time-out of an answer, s; None for the time-out of the link
 

@@ -268,9 +268,7 @@ class DbcMapError(Exception):
 
 
 class Names:
-    """Looks up the names of a map in a DBC, and collects the problems, so that all problems are
-    reported together.
-    """
+    """Looks up the names of a map in a DBC, and collects the problems to report them together."""
 
     def __init__(self, layouts: Mapping[str, Layout]) -> None:
         self.layouts = layouts

@@ -31,9 +31,7 @@ _LONGEST_STEP_NS: Final = 20_000_000
 
 
 class CanDrive(ABC):
-    """A drive that is either off or follows a target; when the power is switched off, the motor
-    coasts.
-    """
+    """A drive that is off or follows a target; when power is switched off, the motor coasts."""
 
     lost_code: ClassVar[int]
     """Fault code after a time-out of the watchdog."""

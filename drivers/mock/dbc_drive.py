@@ -93,9 +93,7 @@ POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 
 
 class DbcDrive:
-    """The drive. At each command the drive samples the sensors, executes the command, and answers
-    with two frames.
-    """
+    """The drive. Each command makes it sample its sensors, execute, and answer with two frames."""
 
     def __init__(
         self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler, clock_offset_us: int = 0

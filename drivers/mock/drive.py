@@ -373,9 +373,7 @@ _AT_LIMIT: Final = 0.98
 
 @dataclass(frozen=True)
 class Rating:
-    """Rated values of the drive; its units of current and torque are thousandths of the rated
-    values.
-    """
+    """Rated values of the drive; it reports current and torque in thousandths of these values."""
 
     current_A: float = 15.0  # rated motor current (6075h)
     # Rated motor torque (6076h), or None for the torque at the rated current.

@@ -1,6 +1,4 @@
-"""Records of the differences between simulated CiA 402 drives: identity, units, additional objects,
-modes.
-"""
+"""Differences between simulated CiA 402 drives: identity, units, additional objects, modes."""
 
 from __future__ import annotations
 

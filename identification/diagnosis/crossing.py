@@ -34,9 +34,7 @@ INNER = 0.6
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 INERTIA, RISE = 0, 2
-"""Indices of the regressors of the rotor's inertia and of the torque that rises during a
-crossing.
-"""
+"""Indices of the regressors of the rotor's inertia and of the torque that rises in a crossing."""
 
 
 @dataclass(frozen=True)

@@ -95,19 +95,12 @@ PROPELLANT = ("a", "n", "C_r")  # constants that neither a drawing nor a calibra
 VOLUME = Constant("m^3", 0.3, relative=True)
 """Free volume of the chamber at the first row of each recording, without igniter and grain."""
 START_PRESSURE = Constant("Pa", 0.01, relative=True)
-"""Pressure at the first row of each recording; the tolerance is a scale for the fit, not a
-prior.
-"""
-ROW_S = 0.005
-"""Duration over which samples are averaged to one row, s; the time constant of the chamber's
-outflow is ten times as long.
-"""
+"""Pressure at the first row of each recording; the tolerance scales the fit and is no prior."""
+ROW_S = 0.005  # averaging time of a row, s; a tenth of the time constant of the chamber's outflow
 LEAST_ROWS = 50
 FIRST_ROWS = 4
 TURN, SIZE = math.radians(0.05), 2.5e-5
-"""Steps of numerical derivatives, rad and m, which are about the tolerances of encoder and
-valve.
-"""
+"""Steps of numerical derivatives, rad and m: about the tolerances of encoder and valve."""
 PIECES = 4
 """Number of intervals of time of each recording for which a generic family has a constant each."""
 STEP = 0.01  # step of numerical derivatives, in the units of the fit
@@ -217,9 +210,7 @@ def _burn(recording: Recording, index: int) -> Burn:
 
 
 def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
-    """Return the derivatives of A_t with respect to angle (m^2/rad), d, D and b (m), by central
-    differences, shape (4, n).
-    """
+    """Return dA_t/d(angle) (m^2/rad), d, D and b (m), by central differences, shape (4, n)."""
     by_angle = throat_area(angle + TURN, valve) - throat_area(angle - TURN, valve)
     by_size = [
         throat_area(angle, replace(valve, **{name: value + SIZE}))
@@ -465,9 +456,7 @@ class GasFit(Joint):
         return (replace(equation, residual=measured + priors),)
 
     def unseen(self, aside: Sequence[View]) -> Stack:
-        """Return the stack of recordings set aside, of which only the state at the start is
-        fitted.
-        """
+        """Return the stack of recordings set aside; only their state at the start is fitted."""
         here, nominal = cast(Any, aside), cast(GasNominal, self.nominal)
         start = replace(nominal, starts=GasNominal.believed(here).starts)
         found = fit(here, self.equations[0].sigma, start, self.effects, shared=False)

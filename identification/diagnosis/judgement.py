@@ -38,9 +38,7 @@ of a faint mismatch that is attributed to noise (`excess`) may be due to an unid
 
 
 VISIBLE = 3.0
-"""Rms mismatch, relative to the noise, from which a diagnosis must find it (the limit of the
-proofs).
-"""
+"""Rms mismatch over the noise from which a diagnosis must find it (the limit of the proofs)."""
 
 
 class Judged(NamedTuple):

@@ -73,9 +73,7 @@ class Mismatch:
 
 
 def mismatch_of(stack: Stack, equation: str) -> Mismatch:
-    """Return the mismatch of one equation of a stack, without its nominal tangent and its effect
-    basis.
-    """
+    """Return the mismatch of an equation without its nominal tangent and its effect basis."""
     rows = stack.part(equation)
     number = next(k for k, e in enumerate(stack.equations) if e.name == equation)
     step = max(1, -(-(rows.stop - rows.start) // MOST_ROWS))

@@ -25,9 +25,7 @@ from identification.views.view import views
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Rms errors on recordings set aside, in the equation in which the true effects reduce the
-    error most.
-    """
+    """Rms errors on recordings set aside, in the equation in which the true effects help most."""
 
     equation: str  # name of the equation
     baseline_rms: float  # error of the nominal model alone, in the unit of the equation

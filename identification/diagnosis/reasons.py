@@ -1,6 +1,4 @@
-"""Reasons why effects do not explain a mismatch, or why the verdict is *nothing missing* in spite
-of a mismatch.
-"""
+"""Reasons why effects do not explain a mismatch, or why *nothing missing* stands beside one."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ from identification.recording import Array
 # the last reversal.
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
-"""Coordinates on which a hysteretic mismatch depends; in the motion of a single sine the two are
-equivalent.
-"""
+"""Coordinates of a hysteretic mismatch; in the motion of a single sine the two are equivalent."""
 
 
 def is_hysteretic(joint: Joint) -> bool:
@@ -73,9 +69,7 @@ class Excess:
 
 
 def excess_of(found: Search) -> list[Excess]:
-    """Return the mean-square mismatch of each equation by the nominal and by the corrected
-    model.
-    """
+    """Return each equation's mean-square mismatch by the nominal and by the corrected model."""
     stack = found.baseline.stack
     out = []
     for equation in found.baseline.equations:

@@ -55,9 +55,7 @@ LEAST_BREAKAWAYS = 12  # least number of breakaways, over all recordings, for a 
 SAME_STEP = 0.01  # relative difference up to which two steps of an encoder are equal
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
-"""Greatest ratio of an error to a noise, whose square is a finite number; recordings at rest have
-no noise.
-"""
+"""Greatest ratio of error to noise with a finite square; recordings at rest have no noise."""
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)  # error of the most accurate encoders for one turn, rad
 AT_INSTANTS = frozenset({"breakaway"})
 """Equations that hold at instants alone, with one row per instant; the other equations hold
@@ -111,9 +109,7 @@ class Equation:
         return self.name not in AT_INSTANTS
 
     def allowed(self) -> Array:
-        """Return the mean square of noise and sensor error of each row over the square of
-        ``sigma``, shape (n,).
-        """
+        """Return each row's mean square of noise and sensor error over ``sigma`` ^2, shape (n,)."""
         sensors = min(self.accuracy / self.sigma, GREATEST_RATIO) ** 2
         noises = np.array([self.own.get(index, 1.0) for index in self.owner.tolist()])
         return noises + sensors
@@ -537,9 +533,7 @@ def weight_of(equation: Equation) -> Array:
 
 
 def at_rows(coordinate: Coordinate, equation: Equation, weight: Array) -> Array:
-    """Return the filtered coordinate at the rows of an equation, shape (n,); zero where a recording
-    lacks its channel.
-    """
+    """Return the filtered coordinate at an equation's rows, shape (n,); 0 without its channel."""
     if coordinate.periodic:
         first = equation.rows(partial(_harmonic, coordinate, 1))
         return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))

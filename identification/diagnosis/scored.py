@@ -454,9 +454,7 @@ def curve_of(
 
 
 def _binned(place: Array, error: Array) -> tuple[Array, Array] | None:
-    """Return centres and means of bins with about equal numbers of samples, or None if there are
-    fewer than two bins.
-    """
+    """Return centres and means of about equally filled bins, or None for fewer than two bins."""
     edges = np.unique(np.quantile(place, np.linspace(0.0, 1.0, BINS + 1))) if len(place) else place
     if len(edges) < 3:
         return None

@@ -1,6 +1,4 @@
-"""Selects effects one by one by tests, compares each with its rivals, and removes effects that are
-no longer needed.
-"""
+"""Selects effects by tests, compares each with its rivals, and removes those not needed."""
 
 from __future__ import annotations
 
@@ -51,9 +49,7 @@ from identification.diagnosis.within_limits import (
 from identification.effects.effect import Context, Effect, Shape
 
 TRIALS = 3
-"""Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
-each trial parameter.
-"""
+"""Number of trial parameters without a score; a fit searches within a factor of 4 of each."""
 
 
 def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -> list[Candidate]:
@@ -115,9 +111,7 @@ def finalist_groups(
 
 
 def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates with the greatest scores; effects with one regressor, whose scores are
-    equal, count as one.
-    """
+    """Return the candidates of greatest score; those with one regressor score equal, as one."""
     near = [c for c in ranked if c.score > RULES.rival_share * ranked[0].score]
     scores = sorted({float(f"{c.score:.9g}") for c in near}, reverse=True)[: RULES.finalists]
     return [c for c in near if float(f"{c.score:.9g}") in scores]

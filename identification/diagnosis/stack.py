@@ -26,9 +26,7 @@ from identification.views.view import View, delayed_view
 # An effect at trial parameters, with its score on the remaining mismatch.
 
 FEW_REGRESSORS = 4
-"""Greatest number of regressors for which the statistic is computed from the residual after their
-fit.
-"""
+"""Greatest number of regressors for which the statistic comes from the residual of their fit."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 
 
@@ -210,9 +208,7 @@ class Stack:
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
-        """Return regressors as whitened rows of the whole stack, without projection, shape (n,
-        k).
-        """
+        """Return regressors as whitened rows of the whole stack, not projected, shape (n, k)."""
         width = max(c.shape[1] for c in columns.values())
         out = np.zeros((len(self.residual), width))
         for equation in self.equations:
@@ -387,9 +383,7 @@ def view_regressors(
     shape: Shape,
     made: Callable[..., Array] = _computed,
 ) -> Callable[[View], Array]:
-    """Return a function that returns the regressors of one equation for a view; ``made`` may be a
-    cached function.
-    """
+    """Return a function of a view for the regressors of one equation; ``made`` may be cached."""
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
         return lambda view: made(make, delayed_view(view, nominal.late_s), nominal, shape)

@@ -47,9 +47,7 @@ solutions the penalty selects the smallest.
 """
 Problem = tuple[Array, Array, tuple[Array, Array], Array]
 _JUDGED: WeakKeyDictionary[Joint, bool] = WeakKeyDictionary()
-"""Cache: fit to whether it is infeasible, because several comparisons need the answer for one
-fit.
-"""
+"""Cache: fit to whether it is infeasible, for several comparisons that ask about one fit."""
 _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 
@@ -136,9 +134,7 @@ def within_limits(joint: Joint) -> Joint:
 
 
 def parameter_derivatives(joint: Joint) -> Array:
-    """Return whitened derivatives of the rows with respect to nominal parameters and coefficients,
-    shape (n, k).
-    """
+    """Return whitened derivatives by nominal parameters and coefficients, shape (n, k)."""
     return _problem(joint)[0]
 
 
@@ -299,9 +295,7 @@ def _point_after(
 
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
-"""Quantiles of the speed between which trial Stribeck speeds are placed, and number of trial
-Stribeck speeds.
-"""
+"""Speed quantiles between which trial Stribeck speeds lie, and the number of these speeds."""
 ACCEPTED_RATIO = 0.7
 """Greatest ratio of the sum of squares of a fit from an assumed fall of friction to that of the
 fit from the estimate, for which the assumed fall is accepted.
@@ -317,9 +311,7 @@ RUNG_WITHOUT_LOAD: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
 }
-"""Rung with load-dependent friction to the rung without load-dependent friction, which replaces it
-if no load is declared.
-"""
+"""Rung with load-dependent friction to the rung that replaces it if no load is declared."""
 
 
 def _steady_samples(recordings: Sequence[Recording], bandwidth_Hz: float) -> int:

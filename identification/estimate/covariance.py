@@ -114,9 +114,7 @@ Stribeck speed below all sampled speeds).
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters and its Cramer-Rao bound, in the units of the free vector,
-    shape (p, p).
-    """
+    """Covariance of the free parameters and its Cramer-Rao bound, in their units, shape (p, p)."""
 
     achieved: Array  # covariance with the inertia at the solution of its estimating equation
     floor: Array  # Cramer-Rao bound

@@ -148,9 +148,7 @@ _TRUNCATED = 4.0  # number of standard deviations at which the smoothing Gaussia
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero at samples that lie in no other matching
-    segment.
-    """
+    """Return the instruments of every residual; zero at samples in no other matching segment."""
     count = len(point.free)
     both_ways = np.array([k == OFFSET for k in point.free] + [False])
     parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
@@ -242,9 +240,7 @@ def _responses(length: int) -> NDArray[np.complex128]:
 
 @dataclass(frozen=True)
 class Equation:
-    """The linearised estimating equation of the inertia, as a sum of contributions of the
-    residuals.
-    """
+    """The linearised estimating equation of the inertia: a sum of contributions of residuals."""
 
     # Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
     influence: Array

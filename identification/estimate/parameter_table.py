@@ -381,9 +381,7 @@ _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 def tradeoffs(
     spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[Tradeoff, ...]:
-    """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
-    first.
-    """
+    """Return pairs with a correlation of :data:`TRADE_OFF` or more, the highest first."""
     names, correlation = _correlation(spread, values)
     found = []
     for j, first in enumerate(names):

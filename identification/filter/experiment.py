@@ -67,9 +67,7 @@ class Lineup:
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """The first samples of every segment, which are all samples that the segment's breakaway time
-    affects.
-    """
+    """The first samples of every segment: all that the segment's breakaway time affects."""
 
     lineup: Lineup  # segments that end after these samples
     rows: NDArray[np.int64]  # numbers of the innovations of these first samples, shape (q,)

@@ -287,9 +287,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals near a point: prediction errors and ties, divided by their standard deviations at
-    the point.
-    """
+    """Residuals near a point: prediction errors and ties over their standard deviations there."""
 
     point: Point
     deviations: Array  # standard deviations of the residuals at the point, constant, shape (r,)
@@ -396,9 +394,7 @@ LONGEST_STEP_MS = 2.0
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of some recordings with the breakaway times eliminated; p parameters, m
-    segments.
-    """
+    """Normal equations of some recordings without breakaway times; p parameters, m segments."""
 
     normal: Array  # Fisher information of the residuals (unit variance), shape (p, p)
     scores: Array  # gradient of half the sum of squares of each segment's residuals, shape (m, p)
@@ -494,9 +490,7 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 
 
 def likeliest_noise(point: Point) -> Noise:
-    """Return the noise levels of least deviance at a point, with a correlated part if the noise of
-    the point has one.
-    """
+    """Return a point's noise levels of least deviance, with a correlated part if it has one."""
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
     simplex, most = np.array(_SIMPLEX), _MOST

@@ -252,9 +252,7 @@ def _reverses(angle: Array, side: float, step: float) -> bool:
 
 @dataclass(frozen=True)
 class Noise:
-    """Levels of the white and correlated noise of the measured torque, and of the noise of the
-    angle.
-    """
+    """Levels of white and correlated noise of the measured torque, and of the angle's noise."""
 
     torque: float  # white part of the torque noise, N m rms over a period
     # Noise of the angle in addition to the quantisation error of the encoder, rad rms.

@@ -117,18 +117,14 @@ REFERENCE_PRESSURE = 1e6
 """Unit of the pressure in r = a p^n, Pa: the burning coefficient a belongs to p in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
-"""Greatest integration step, as a share of the time in which the outflow would empty the
-chamber.
-"""
+"""Greatest integration step, as a share of the time in which the outflow empties the chamber."""
 
 
 @compiled
 def rates(
     y: float, w: float, z: float, t: float, area: float, c: Array, e: Array
 ) -> tuple[float, float, float]:
-    """Return the time derivatives of ln p, w and ln s at ``t`` s of burning with an effective
-    throat of ``area`` m^2.
-    """
+    """Return the time derivatives of ln p, w and ln s at ``t`` s, with a throat of ``area`` m^2."""
     root = math.exp(0.5 * z) if z != 0.0 else 1.0
     s = root * root
     taper = e[TAPER]

@@ -27,14 +27,10 @@ LEAST_RUNS = 6
 """Least number of values for a test; with fewer values, at most four degrees of freedom remain."""
 _LEAST_SIDE = 2  # least number of values before and after a step
 _MOST_STEPS = 40
-"""Greatest number of positions at which a step is sought; in a longer history these positions are
-spread evenly.
-"""
+"""Greatest number of positions at which a step is sought, spread evenly in a longer history."""
 _DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
-"""Least standard error relative to the median standard error, so that one value does not outweigh
-all others.
-"""
+"""Least standard error over the median one, so that one value does not outweigh all others."""
 _TWO_SIDED_90 = 1.6448536269514722
 
 

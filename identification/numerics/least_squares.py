@@ -20,9 +20,7 @@ for which the normal equations are used.
 """
 
 LEAST_LENGTH = 1e-140
-"""Least norm of a column; the square of a smaller norm would be close to the smallest normal
-floating-point number.
-"""
+"""Least norm of a column; the square of a smaller one nears the smallest normal number."""
 
 
 def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
@@ -408,9 +406,7 @@ class BlockArrow:
     blocks: int  # number of blocks, m
 
     def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
-        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to
-        self.
-        """
+        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other``: self."""
         found = self._products(weight, self if other is None else other)
         p = self.parameters.shape[1]
         out = np.zeros((p + self.blocks, p + self.blocks))
@@ -426,9 +422,7 @@ class BlockArrow:
         return np.concatenate([self.parameters.T @ vector, times])
 
     def along(self, directions: Array) -> Array:
-        """Return ``self @ directions``, the change of every row, for ``directions`` of shape (p +
-        m,) or (p + m, k).
-        """
+        """Return ``self @ directions``, for ``directions`` of shape (p + m,) or (p + m, k)."""
         p = self.parameters.shape[1]
         own = self.own if directions.ndim == 1 else self.own[:, None]
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
@@ -452,9 +446,7 @@ class BlockArrow:
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
-        """Return each block's information on the parameters, with its extra unknown eliminated
-        (M12), shape (m, p, p).
-        """
+        """Return each block's information on the parameters, less its unknown (M12), (m, p, p)."""
         p = self.parameters.shape[1]
         found = self._products(None, self)
         cross, own = found[:, p, :p], found[:, p, p]

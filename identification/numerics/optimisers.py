@@ -174,9 +174,7 @@ class BoxProblem(Protocol):
         """Return the cost of every row of ``x``, shape (p, d), as shape (p,)."""
 
     def residuals(self, x: Array, /) -> Array:
-        """Return the residuals at ``x``, shape (d,); the cost is the square root of the sum of
-        squares of the residuals.
-        """
+        """Return the residuals at ``x``, shape (d,); the cost is the root of their squares' sum."""
 
 
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
@@ -206,9 +204,7 @@ def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Arr
 
 
 def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """CMA-ES of the ``cmaes`` library with the default settings of the library, from the centre of
-    the box.
-    """
+    """CMA-ES of the ``cmaes`` library with its default settings, from the centre of the box."""
     bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
     # Imported late: the library imports scipy.stats, which an identification does not need.
     from cmaes import CMA

@@ -34,9 +34,7 @@ _EXACT = 1e-12
 def next_speed(
     speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array
 ) -> float:
-    """Return the speed after ``h`` seconds under ``torque``, N m, which excludes friction and
-    damping.
-    """
+    """Return the speed after ``h`` s under ``torque``, N m, less friction and damping."""
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
     static = friction(0.0, moment, gear, body)[0]
@@ -303,16 +301,12 @@ def replay(
 
 
 FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
-"""Parameters that are proportional to the friction as a whole; Stribeck speeds, inertia and offset
-are not.
-"""
+"""Parameters proportional to the friction as a whole: not Stribeck speeds, inertia or offset."""
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums of squares over all samples, including samples at rest, from which rms errors are
-    computed.
-    """
+    """Sums of squares over all samples, also at rest, from which rms errors are computed."""
 
     # Sum of squares of simulated less measured drive torque at the bandwidth.
     torque_error: float = 0.0
@@ -391,9 +385,7 @@ def compare_angle(recording: Recording, response: Response) -> Sums:
 
 
 def simulated_torque(prepared: Prepared, response: Response) -> Array:
-    """Return the simulated drive torque after the filter of the fit, N m, at
-    ``prepared.time``.
-    """
+    """Return the simulated drive torque after the filter of the fit, N m, at ``prepared.time``."""
     recording = prepared.recording
     series = resample(recording.time, response.torque, uniform_grid(recording))
     if prepared.filter.half:

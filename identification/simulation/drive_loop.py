@@ -23,9 +23,7 @@ from identification.numerics.compiled import compiled
 from identification.recording import Recording
 
 STEPS = 20
-"""Number of integration steps per sample at 1 kHz; under load friction falls within 100
-microseconds.
-"""
+"""Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
 
 
@@ -46,9 +44,7 @@ class Loop:
 
 
 def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
-    """Return a stiff servo loop: velocity bandwidth 95 Hz, and a tenth of this bandwidth for the
-    position.
-    """
+    """Return a stiff servo loop: velocity bandwidth 95 Hz, position bandwidth a tenth of it."""
     position = 0.1 * _VELOCITY_BANDWIDTH
     return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit, count)
 
@@ -179,10 +175,7 @@ _MEAN = 4  # number of samples over which torque and regressors are averaged
 _LATENESSES = range(7)  # delays of the command that are tried, in cycles
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
 """Delays between the joint's motion and the loop's response that are tried, s."""
-_MISFIT = 0.15
-"""Greatest ratio of the rms of the residual to the rms of the torque's changes at which the
-estimated loop is accepted.
-"""
+_MISFIT = 0.15  # greatest rms of the residual over that of the torque's changes of an accepted loop
 _GAINS = 3
 
 

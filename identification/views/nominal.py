@@ -28,9 +28,7 @@ STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
 class NominalTorque:
-    """Torque of the nominal model at given values: system load (eq. 9), working load (eq. 13) and
-    inertia, of a view.
-    """
+    """Torque of the nominal model in a view: load terms (eq. 9, eq. 13) and inertia."""
 
     values: Mapping[str, float]
     alpha: float
@@ -87,16 +85,12 @@ class NominalTorque:
         return _frozen(view.known - _unknown(view, self.undeclared))
 
     def helped(self, view: View) -> bool:
-        """Whether a load that turns with the joint, declared or identified, acts in this
-        recording.
-        """
+        """Whether a declared or identified load that turns with the joint acts here."""
         return any(self.undeclared) or view.burdened
 
     @recent
     def drive(self, view: View) -> Array:
-        """Return the torque that the drive must produce, including the torque of loads that turn
-        with the joint, N m.
-        """
+        """Return the torque that the drive must produce, with loads that turn with it, N m."""
         return _frozen(self.torque(view) - self.helping(view))
 
     @recent
@@ -176,9 +170,7 @@ class Nominal(NominalTorque):
         return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
 
     def at_most(self, step: Array) -> frozenset[str]:
-        """Return the static levels that are at their limit and that ``step`` would move beyond this
-        limit.
-        """
+        """Return the static levels at their limit that ``step`` would move beyond it."""
         return frozenset(
             name
             for name, change in zip(self.free, step, strict=True)
@@ -188,9 +180,7 @@ class Nominal(NominalTorque):
         )
 
     def tangent(self, view: View) -> Array:
-        """Return the torque's derivatives with respect to the free parameters, shape (len(free),
-        m).
-        """
+        """Return the torque's derivatives by the free parameters, shape (len(free), m)."""
         return np.stack([self._direction(view, name) for name in self.free])
 
     def moved(self, linear_step: Array, speed_step: Array, share: float = 1.0) -> Nominal:
@@ -300,9 +290,7 @@ def _frozen(series: Array) -> Array:
 
 
 def winding_voltage(view: View) -> Array:
-    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown constants count as
-    0.
-    """
+    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown: 0."""
     assert view.current is not None
     bench = view.recording.bench
     change = central_difference(view.current, view.step)
@@ -346,6 +334,4 @@ INSTANTS: Mapping[str, Callable[[View], Array]] = {
     "hold": voltage_change,
     "ripple": command_ripple,
 }
-"""Parameters that samples at instants add to the voltage equation, each with the function that
-computes its column.
-"""
+"""Parameters that sampling at instants adds to the voltage equation, with their columns."""

@@ -35,17 +35,13 @@ class Predicted:
 
     @property
     def error(self) -> Array:
-        """Measured less modelled side of the equation, at the samples where the equation
-        applies, shape (k,).
-        """
+        """Measured less modelled side of the equation where the equation applies, shape (k,)."""
         off = self.measured - self.model
         return off[np.isfinite(off)]
 
 
 def rms(parts: Iterable[Predicted]) -> float | None:
-    """Return the root mean square of the errors of several recordings, or None without any
-    error.
-    """
+    """Return the root mean square of several recordings' errors, or None without any error."""
     errors = [p.error for p in parts]
     count = sum(len(e) for e in errors)
     return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None

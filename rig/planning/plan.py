@@ -97,9 +97,7 @@ def make_plan(
     first_pass: bool | None = None,
     feedforward: Feedforward | None = None,
 ) -> Plan:
-    """Return the plan of a run: compute all targets, and check them against the limits of the
-    bench.
-    """
+    """Return the plan of a run: all targets, checked against the limits of the bench."""
     if feedforward is not None:
         require_torque_offset(bench)
     values, problems = _tighten(sequence, bench.value)

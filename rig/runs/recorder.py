@@ -136,9 +136,7 @@ class Recorder:
             self._require_in_place()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
-        """Record frames from outside the control cycle, and pass them to the operating system
-        immediately.
-        """
+        """Record frames from outside the control cycle, and pass them on immediately."""
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():

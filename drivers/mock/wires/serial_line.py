@@ -58,9 +58,7 @@ class SimulatedLine:
         self._clock.call_at(arrival, lambda: self._arrived(data))
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; if there is none, simulated time advances until a byte
-        arrives.
-        """
+        """Return the received bytes; without any, simulated time advances until a byte arrives."""
         self._require_open()
         clock = self._clock
         deadline = clock.now_ns() + round(timeout_s * NS)

@@ -200,9 +200,7 @@ def _show(
 
 
 def _seal(home: Path, rigs: int, seed: int, engine: Engine, repeated: bool = False) -> list[Sealed]:
-    """Draw trials and seal them into a folder; the salts of a ``repeated`` seal follow from the
-    seed.
-    """
+    """Draw trials and seal them; the salts of a ``repeated`` seal follow from the seed."""
     from rig.results.prove.run import seal_own
     from rig.results.prove.truth import random_salt, repeated_salt
     from rig.terminal.output import ShareBar

@@ -76,9 +76,7 @@ class RunFigures:
 
 
 def figures_of(folder: Path) -> RunFigures:
-    """Return the measured values of a run. Values of excitations are None if no excitation was
-    finished.
-    """
+    """Return the measured values of a run; those of excitations are None if none was finished."""
     record = read_record(folder)
     dataset, problem = None, ""
     try:

@@ -35,9 +35,7 @@ _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
 _RESTS_S = (0.1, 0.5, 2.0, 8.0)
 _STILL_DEG = 0.02
-"""Amplitude, deg, at which a joint with friction stays at rest while its holding torque is
-recorded.
-"""
+"""Amplitude, deg, at which friction holds the joint while its holding torque is recorded."""
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,7 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[FittedModel], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model, and again without effects if the model has
-    effects.
-    """
+    """Predict every recording with every model, and without effects if the model has some."""
     found = []
     for file, model in models:
         seen = views_for(dataset.recordings, bandwidth_Hz, model)

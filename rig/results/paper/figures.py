@@ -623,9 +623,7 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as measured by the sensors of the bench; arrays of shape (n,), from
-    the start of the motion.
-    """
+    """One opening of the valve as the bench's sensors measure it; arrays of shape (n,)."""
 
     speed_deg_s: float  # commanded speed
     time: Array  # time, s

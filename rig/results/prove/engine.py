@@ -106,9 +106,7 @@ def bundle(campaign: Path) -> Bundle:
 
 @contextmanager
 def unpacked(given: Path | Bundle) -> Iterator[Path]:
-    """Yield the path of a campaign file; the files of a bundle are first written into a temporary
-    folder.
-    """
+    """Yield the path of a campaign file; a bundle is first written into a temporary folder."""
     if isinstance(given, Path):
         yield given
         return
@@ -214,9 +212,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
-    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
-    end with the context.
-    """
+    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; workers end with it."""
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
         raise InputError(
             "--jobs, --cluster and --scheduler each choose an engine; give only one of these "

@@ -27,8 +27,7 @@ class Judgement(NamedTuple):
     left: Mapping[str, float] = MappingProxyType({})
 
 
-Judge = Callable[[Path, int], Judgement]
-"""Judges a campaign with a seed."""
+Judge = Callable[[Path, int], Judgement]  # judges a campaign with a seed
 
 
 def judge(source: Path, seed: int) -> Judgement:

@@ -187,9 +187,7 @@ def residual_rms(joint: Joint) -> dict[str, float]:
 
 
 def floors_of(campaign: Path) -> dict[str, float]:
-    """Return the nominal model's residual on the campaign of a trial without effects; empty if the
-    model cannot be fitted.
-    """
+    """Return the nominal model's residual on a campaign without effects; empty if not fitted."""
     dataset, bandwidth, _ = choose(load_source(campaign), None)
     try:
         _, joint = views_and_fit(dataset, bandwidth)

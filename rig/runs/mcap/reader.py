@@ -506,9 +506,7 @@ def first_attachment(path: Path, name: str) -> bytes:
 
 
 def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
-    """Return metadata that were written before the first messages, or None if there are none of
-    this name.
-    """
+    """Return metadata written before the first messages, or None if none has this name."""
     for opcode, content in _before_messages(path):
         if (
             opcode == Opcode.METADATA
