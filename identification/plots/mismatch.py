@@ -1,4 +1,6 @@
-"""Draws the figures of a diagnosis: mismatch by coordinate and time, curve, rivals."""
+"""Draws the figures of a diagnosis (mismatch by coordinate and time, curve, rivals) and of an
+investigation: odds after each experiment, and a prediction against its recording.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,17 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from identification.diagnosis.result import Fit, IdentifiedEffect, Map, ResidualTrace
 from identification.effects.model import Curve
+from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,
     BLUE,
     CYCLE,
     GREY,
+    MEASURED,
+    MODEL,
     SKY,
     VERMILION,
+    ZERO,
     broken,
     continuing,
     figure,
@@ -222,25 +228,57 @@ def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> 
     return made
 
 
-def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Draw the confusion of injected and identified effects, as shares of a row.
+FEW = 6  # number of hypotheses that are drawn, the most likely ones of any experiment
+
+
+def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Figure:
+    """Draw the probability of each hypothesis after each experiment.
 
     Args:
-        table: Injected effect -> first identified effect -> count.
+        experiments: Names of the experiments, in order.
+        each: Name of each hypothesis to its probability, after each experiment.
     """
-    given = sorted(
-        {name for row in table.values() for name in row}, key=lambda name: (name not in table, name)
+    greatest: dict[str, float] = {}
+    for after in each:
+        for name, p in after.items():
+            greatest[name] = max(p, greatest.get(name, 0.0))
+    shown = sorted(greatest, key=lambda name: -greatest[name])[:FEW]
+    made, (axis,) = figure(1, height=4.0)
+    at = np.arange(len(experiments))
+    for name in shown:
+        axis.plot(at, [after.get(name, 0.0) for after in each], marker="o", label=name)
+    axis.set_xticks(at, experiments)
+    axis.set_ylim(-0.02, 1.02)
+    axis.set_xlabel("experiment")
+    axis.set_ylabel("probability (1)")
+    legend_above(axis, 3)
+    return made
+
+
+def sealed(time: Array, predicted: Array, half_width: Array, measured: Array, unit: str) -> Figure:
+    """Draw a prediction with its band and the measured torque, and their difference with the band.
+
+    Args:
+        time: s, shape (n,), in steady motion only.
+        predicted: Predicted torque, shape (n,).
+        half_width: Half width of the band, shape (n,).
+        measured: Measured torque at the same times, shape (n,).
+        unit: Unit of the torque.
+    """
+    made, (top, bottom) = figure(2, height=5.5, sharex=True)
+    few = thinned(len(time))
+    t = time[few]
+    top.plot(t, measured[few], label="measured", **MEASURED)
+    top.plot(t, predicted[few], label="predicted before the run", **MODEL)
+    top.set_ylabel(f"torque ({unit})")
+    legend_above(top, 2)
+    off = (measured - predicted)[few]
+    bottom.fill_between(
+        t, -half_width[few], half_width[few], color=BLUE, alpha=0.2, label="band", linewidth=0.0
     )
-    shares = np.zeros((len(table), len(given)))
-    for i, row in enumerate(table.values()):
-        for name, times in row.items():
-            shares[i, given.index(name)] = times / sum(row.values())
-    made, (axis,) = figure(1, width=10.0, height=9.0)
-    axis.grid(False)
-    image = axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    axis.set_xticks(range(len(given)), given, rotation=90, fontsize=6)
-    axis.set_yticks(range(len(table)), list(table), fontsize=6)
-    axis.set_xlabel("called")
-    axis.set_ylabel("true")
-    made.colorbar(image, ax=axis, shrink=0.6, label="share of the trials")
+    bottom.plot(t, off, label="measured - predicted", **MEASURED)
+    bottom.axhline(0.0, **ZERO)
+    bottom.set_ylabel(f"difference ({unit})")
+    bottom.set_xlabel("time (s)")
+    legend_above(bottom, 2)
     return made

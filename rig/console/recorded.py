@@ -30,7 +30,7 @@ from rig.runs.catalogue.index import list_runs
 SHOWN: Final = 30
 MOST_SHOWN: Final = 300
 _FRESH_S: Final = 3.0  # time for which a list is reused, s
-_KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
+_HTML: Final = "text/html; charset=utf-8"
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,7 @@ class Recorded:
             return Response(words, status_code=404, media_type="text/plain")
         policy = RUN_SANDBOX if name == REPORT_FILE else SANDBOX
         headers = {"Content-Security-Policy": policy}
-        if name.endswith(".pdf"):
-            # The viewer that is built into a browser does not work in the sandbox.
-            headers["Content-Disposition"] = f'attachment; filename="{name}"'
-        return Response(content, media_type=_KINDS[Path(name).suffix], headers=headers)
+        return Response(content, media_type=_HTML, headers=headers)
 
 
 MOST_COMPARED: Final = 6
@@ -261,4 +258,4 @@ class Made:
             words = f"no such page; only the latest {KEPT} pages are kept: make the page again"
             return Response(words, status_code=404, media_type="text/plain")
         policy = {"Content-Security-Policy": SANDBOX}
-        return Response(content, media_type=_KINDS[".html"], headers=policy)
+        return Response(content, media_type=_HTML, headers=policy)

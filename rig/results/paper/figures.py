@@ -1,4 +1,4 @@
-"""The paper's Fig. 2 to 5, 9 and 11, eq. 14 and compensation, each with our result."""
+"""The paper's Fig. 2 to 5, 9 and 11, and eq. 14, each with our result."""
 
 from __future__ import annotations
 
@@ -241,93 +241,6 @@ def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
         named[f"{plain.stage}_rad_s"] = _speed(plain)
         named[f"{plain.stage}_fed_rad_s"] = _speed(fed)
     return _thinned(**named)
-
-
-SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
-PERIOD_S = 5.0
-FIRST_S = 2.0
-CYCLES = 2
-_SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-
-
-def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
-    """Return the tracking error of both cases, and the energy of one cycle."""
-    pairs = list(zip(plain.recordings, fed.recordings, strict=True))
-    return Exhibit(
-        "compensation",
-        "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
-        "The paper states that friction raises control error and power consumption, and that "
-        "the model is a starting point for compensation; it shows no compensation.",
-        (
-            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
-            f"command less joint encoder, and electrical energy, over {CYCLES} cycles.",
-        ),
-        (
-            Picture.of(
-                "compensation",
-                "Tracking error of the 0.2 Hz sine without and with feed-forward",
-                regulator.errors([_panel(*pair) for pair in pairs]),
-            ),
-        ),
-        {"compensation": _sine_data(pairs)},
-        _table(pairs),
-    )
-
-
-def _load(recording: Recording) -> str:
-    return f"{recording.contact_force:.0f} N"
-
-
-def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time since the start, s, and a mask of the samples of whole cycles."""
-    time = np.asarray(recording.time - recording.time[0])
-    return time, (time >= _SPAN[0]) & (time < _SPAN[1])
-
-
-def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
-    time, part = _part(before)
-    errors = _both(lambda recording: tracking_error(recording)[part], before, after)
-    return _load(before), time[part], errors
-
-
-def _sine_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    named: dict[str, Array] = {}
-    for before, after in pairs:
-        time, part = _part(before)
-        named["time_s"] = time[part]
-        both = ((before, before.stage), (after, f"{before.stage}_fed"))
-        for recording, name in both:
-            named[f"error_{name}_rad"] = tracking_error(recording)[part]
-        for recording, name in both:
-            power = recording.channels["voltage"] * recording.channels["current"]
-            named[f"power_{name}_W"] = power[part]
-    return _thinned(**named)
-
-
-def _table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
-    header = (
-        "contact force",
-        "error before (mrad rms)",
-        "after",
-        "ratio",
-        "largest (mrad)",
-        "after",
-        "energy per cycle (J)",
-        "after",
-    )
-    rows = []
-    for before, after in pairs:
-        one, other = track(before, *_SPAN), track(after, *_SPAN)
-        rows.append(
-            (
-                _load(before),
-                *(number(1e3 * t.rms, 3) for t in (one, other)),
-                number(one.rms / other.rms, 3),
-                *(number(1e3 * t.largest, 3) for t in (one, other)),
-                *(number(t.energy / CYCLES, 4) for t in (one, other)),
-            )
-        )
-    return Table(header, tuple(rows), tuple(range(1, 8)))
 
 
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from identification.plots.mismatch import confusion_matrix, power_curve
+from identification.plots.mismatch import power_curve
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table, provenance_section
@@ -65,7 +65,7 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
     yield Section("", tuple(map(Note, _remarks(result))))
     yield Section("Rates", (_rates(result), *_power(result)))
     yield Section("Location of the mismatch", (_places(result),))
-    yield Section("Injected and named effects", (_confusion(result), *_confused(result)))
+    yield Section("Injected and named effects", (_confusion(result),))
     yield Section("Confidence and share of right names", (_reliability(result),))
     yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
     if result["by_axis"]:
@@ -191,12 +191,6 @@ def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
         }.items()
     }
     yield Picture.of("power", "Found and named against strength", power_curve(labels, curves))
-
-
-def _confused(result: Mapping[str, Any]) -> Iterator[Picture]:
-    if result["power"]:
-        matrix = confusion_matrix(result["confusion"])
-        yield Picture.of("confusion", "Names given to each injected effect", matrix)
 
 
 def _confusion(result: Mapping[str, Any]) -> Table:
