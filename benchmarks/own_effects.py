@@ -28,7 +28,7 @@ from rig.results.prove.draw import Draw, Rig, draw, log
 from rig.results.prove.excitation import experiments
 from rig.results.prove.simulate import (
     campaign,
-    floors,
+    floors_of,
     left_over,
     reference_of,
     residual_rms,
@@ -89,7 +89,9 @@ def trial(name: str, number: int, seed: int, own: OwnFile) -> dict[str, Any]:
 def _strengths(rig: Rig, recorded: Any, plan: Any, first: Joint) -> dict[str, float]:
     """Return the strength of an effect, and the part that the nominal parameters leave."""
     reference = reference_of(rig, plan)
-    left = left_over(residual_rms(first), floors(rig.machine, reference))
+    with TemporaryDirectory() as folder:
+        floors = floors_of(write(Path(folder), rig.machine, reference, packed=False))
+    left = left_over(residual_rms(first), floors)
     strengths = strength(recorded, reference)
     return {"strength": max(strengths.values()), "left": max(left.values(), default=0.0)}
 

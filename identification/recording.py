@@ -86,9 +86,7 @@ class Bench:
 
     @property
     def ampere_torque(self) -> float:
-        """Joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in
-        amperes.
-        """
+        """Joint torque of one motor ampere, Km i; 1 with unknown Km, for a fit in amperes."""
         return 1.0 if self.torque_constant is None else self.torque_constant * self.gear_ratio
 
     def contact_force(self, weight_mass: float) -> float:
@@ -389,9 +387,7 @@ class Recording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Start and end of the recording, s: as session time if known, else as time stamps of the
-        recording.
-        """
+        """Start and end of the recording, s: session time if known, else its time stamps."""
         first, last = float(self.time[0]), float(self.time[-1])
         return (first, last) if self.start is None else (self.start, self.start + last - first)
 

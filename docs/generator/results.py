@@ -125,7 +125,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:proof_record",
         "rig.results.prove.score:score",
         "rig.results.prove.score:rate",
-        "rig.results.prove.score:_method",
         "rig.results.prove.score:location_f1",
         "rig.results.prove.score:middle",
         "rig.results.prove.score:power",

@@ -1,6 +1,4 @@
-"""Records of the differences between simulated CiA 402 drives: identity, units, additional objects,
-modes.
-"""
+"""Differences between simulated CiA 402 drives: identity, units, additional objects, modes."""
 
 from __future__ import annotations
 
@@ -19,63 +17,43 @@ PP, HM, CSP, CSV, CST = 1 << 0, 1 << 5, 1 << 7, 1 << 8, 1 << 9
 
 @dataclass(frozen=True)
 class Shown:
-    """An object that a drive has in addition to those of CiA 402, or with another unit.
+    """An object that a drive has in addition to those of CiA 402, or with another unit."""
 
-    Attributes:
-        address: Index and subindex.
-        code: Struct code of the type of the object.
-        quantity: Quantity that the object contains, or None for the rated current.
-        unit: Unit of the value of the object.
-        mappable: Whether the object can be process data.
-    """
-
-    address: tuple[int, int]
-    code: str
-    quantity: Quantity | None
-    unit: float
-    mappable: bool = True
+    address: tuple[int, int]  # index and subindex
+    code: str  # struct code of the type of the object
+    quantity: Quantity | None  # quantity that the object contains, or None for the rated current
+    unit: float  # unit of the value of the object
+    mappable: bool = True  # whether the object can be process data
 
 
 @dataclass(frozen=True)
 class Traits:
-    """Properties of one kind of simulated drive.
+    """Properties of one kind of simulated drive."""
 
-    Attributes:
-        vendor_id: Vendor, 1018h:01h.
-        product_code: Product code, 1018h:02h.
-        lacks: Indices of the objects of the usual simulated drive that this drive lacks.
-        own: Additional objects.
-        rpm: Whether speeds are in revolutions per minute.
-        speed_counts_per_s: Unit of speeds unless ``rpm``, counts/s.
-        acceleration_counts_s2: Unit of accelerations if it is not the unit of speeds per second,
-            counts/s^2.
-        acceleration_turns_s2: Unit of accelerations, in motor turns per second squared.
-        rated_torque_unit_N_m: Unit of the rated torque 6076h, N m.
-        modes: Modes of operation, the value of 6502h.
-        shown: Addresses of the objects that can be accessed over the bus, or None for all objects.
-        defaults: Values after power-on that differ from those of the usual simulated drive, by
-            index and subindex.
-        remote_frames: Whether the drive answers guard requests, which are remote frames.
-        places: Index and subindex on the bus of each object of a second axis, or of an object with
-            a member for each axis, to those of the usual simulated drive.
-        status_share: Number, from 0, of those 16 bits of a statusword of 32 bits that belong to
-            this axis, or None for a statusword of 16 bits.
-    """
-
-    vendor_id: int = 0x7FF
-    product_code: int = 0x402
+    vendor_id: int = 0x7FF  # vendor, 1018h:01h
+    product_code: int = 0x402  # product code, 1018h:02h
+    # Indices of the objects of the usual simulated drive that this drive lacks.
     lacks: frozenset[int] = frozenset()
-    own: tuple[Shown, ...] = ()
-    rpm: bool = False
-    speed_counts_per_s: float = 1.0
+    own: tuple[Shown, ...] = ()  # additional objects
+    rpm: bool = False  # whether speeds are in revolutions per minute
+    speed_counts_per_s: float = 1.0  # unit of speeds unless `rpm`, counts/s
+    # Unit of accelerations if it is not the unit of speeds per second, counts/s^2.
     acceleration_counts_s2: float | None = None
+    # Unit of accelerations, in motor turns per second squared.
     acceleration_turns_s2: float | None = None
-    rated_torque_unit_N_m: float = 1e-3
-    modes: int = PP | HM | CSP | CSV | CST
+    rated_torque_unit_N_m: float = 1e-3  # unit of the rated torque 6076h, N m
+    modes: int = PP | HM | CSP | CSV | CST  # modes of operation, the value of 6502h
+    # Addresses of the objects that can be accessed over the bus, or None for all objects.
     shown: Container[tuple[int, int]] | None = None
+    # Values after power-on that differ from those of the usual simulated drive, by index and
+    # subindex.
     defaults: Mapping[tuple[int, int], int] = field(default_factory=dict)
-    remote_frames: bool = True
+    remote_frames: bool = True  # whether the drive answers guard requests, which are remote frames
+    # Index and subindex on the bus of each object of a second axis, or of an object with a member
+    # for each axis, to those of the usual simulated drive.
     places: Mapping[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    # Number, from 0, of those 16 bits of a statusword of 32 bits that belong to this axis, or None
+    # for a statusword of 16 bits.
     status_share: int | None = None
 
     def speed_unit(self, counts_per_turn: float) -> float:
@@ -91,13 +69,10 @@ class Traits:
 
 @dataclass
 class OwnObjects:
-    """The objects of :class:`Traits` in a dictionary.
-
-    Attributes:
-        measured: Key, quantity and unit of each object with a measured value.
-    """
+    """The objects of :class:`Traits` in a dictionary."""
 
     traits: Traits
+    # Key, quantity and unit of each object with a measured value.
     measured: list[tuple[int, Quantity, float]] = field(default_factory=list)
 
     def add_to(self, objects: DeviceDictionary) -> None:

@@ -98,9 +98,7 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
 
 
 def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
-    """Return the rms error of each equation on recordings set aside
-    (:func:`validation_residual`).
-    """
+    """Return each equation's rms error on recordings set aside (:func:`validation_residual`)."""
     found = validation_residual(joint, aside) if aside else None
     if found is None:
         return {}

@@ -39,12 +39,10 @@ from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
 
-ROUNDS = 30
-"""Greatest number of Gauss-Newton rounds of one joint fit."""
+ROUNDS = 30  # greatest number of Gauss-Newton rounds of one joint fit
 LARGEST_STEP = 0.3
 """Greatest change of a nonlinear parameter in one round, relative to half its search width."""
-CONVERGED = 1e-4
-"""Relative change of the cost below which the fit ends."""
+CONVERGED = 1e-4  # relative change of the cost below which the fit ends
 CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02
 """Greatest number of closing steps after convergence, and the relative excess of the attained over
 the predicted mean-square torque mismatch from which a closing step is tried.
@@ -53,10 +51,8 @@ CLOSING_SHARES = (1.0, 0.5)
 """Shares of a closing step that are tried: a whole step may worsen the breakaway equation."""
 LEAST_CLOSING_GAIN = 0.1
 """Least share of the excess of the attained torque mismatch that a closing step must remove."""
-DAMPING = 0.3
-"""Factor on the length of the next step after a step that increases the cost."""
-MOST_FAILURES = 2
-"""Greatest number of steps that may increase the cost."""
+DAMPING = 0.3  # factor on the length of the next step after a step that increases the cost
+MOST_FAILURES = 2  # greatest number of steps that may increase the cost
 GRID_REACHES = (1.0, 0.2)
 """Half widths of the first grids of a nonlinear parameter, over the half width of its search."""
 GRID_POINTS = 9
@@ -69,19 +65,14 @@ least share of a step that is tried.
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A model fitted to all equations.
-
-    Attributes:
-        equations: Equations at the nominal values, without the contributions of the effects.
-        residual: Whitened rows less the nominal model and the effects, shape (n,).
-        stack: Stack whose effect basis spans the effects and the derivatives of their nonlinear
-            parameters.
-    """
+    """A model fitted to all equations."""
 
     nominal: Nominal
     effects: tuple[Added, ...]
+    # Equations at the nominal values, without the contributions of the effects.
     equations: tuple[Equation, ...]
-    residual: Array
+    residual: Array  # whitened rows less the nominal model and the effects, shape (n,)
+    # Stack whose effect basis spans the effects and the derivatives of their nonlinear parameters.
     stack: Stack
     limited: ClassVar[bool] = False
     """Whether the fit keeps all parameters within their limits."""

@@ -38,22 +38,17 @@ of a faint mismatch that is attributed to noise (`excess`) may be due to an unid
 
 
 VISIBLE = 3.0
-"""Rms mismatch, relative to the noise, from which a diagnosis must find it (the limit of the
-proofs).
-"""
+"""Rms mismatch over the noise from which a diagnosis must find it (the limit of the proofs)."""
 
 
 class Judged(NamedTuple):
-    """Verdict of a search.
-
-    Attributes:
-        reason: Reason why the effects of the catalogue do not explain the mismatch, or why the
-            verdict is *nothing missing* in spite of a mismatch; None otherwise.
-    """
+    """Verdict of a search."""
 
     verdict: Verdict
     where: Location | None
     maps: tuple[Map, ...]
+    # Reason why the effects of the catalogue do not explain the mismatch, or why the verdict is
+    # *nothing missing* in spite of a mismatch; None otherwise.
     reason: Reason | None = None
 
 

@@ -207,9 +207,7 @@ def share_equation(one: Effect, other: Effect) -> bool:
 
 
 def left_beyond_noise(joint: Joint, term: Effect) -> float:
-    """Return the sum of whitened squares beyond the noise that remains in the equations by which an
-    effect is judged.
-    """
+    """Return the whitened squares beyond the noise that remain in the equations of an effect."""
     return _beyond_noise(joint, _judging_rows(joint, term))
 
 

@@ -122,9 +122,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shift:
-    """Value of a nominal parameter in the nominal model and in the corrected model; None if the
-    value is not identifiable.
-    """
+    """Value of a nominal parameter in both models; None if the value is not identifiable."""
 
     before: float | None
     after: float | None
@@ -261,9 +259,7 @@ class Diagnosis:
 
     @property
     def values(self) -> dict[str, float]:
-        """Name to value of the identifiable nominal parameters, and of those of the effects as
-        ``effect.name``.
-        """
+        """Name to value of the identifiable nominal parameters, and of the ``effect.name`` ones."""
         known = {n: v for n, v in self.parameters.items() if n in self.parameter_shift}
         nominal = {n: v for n, v in known.items() if self.parameter_shift[n].after is not None}
         return {

@@ -35,8 +35,7 @@ from identification.views.view import views
 
 OFFSET_SHARE = 0.1
 """Greatest half width of the interval of an identified offset, relative to the rms torque."""
-LEAST_RISE = 1e-3
-"""Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
+LEAST_RISE = 1e-3  # ratio of the rise to the Coulomb level below which the rise is not identifiable
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
@@ -366,8 +365,7 @@ def _why(
     return interval
 
 
-TRADE_OFF = 0.9
-"""Least correlation, as a magnitude, at which two parameters count as a trade-off."""
+TRADE_OFF = 0.9  # least correlation, as a magnitude, at which two parameters count as a trade-off
 _SHOWN = 0.3
 """A parameter is listed in a combination if its share is at least this part of the greatest share.
 """
@@ -381,9 +379,7 @@ _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 def tradeoffs(
     spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[Tradeoff, ...]:
-    """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
-    first.
-    """
+    """Return pairs with a correlation of :data:`TRADE_OFF` or more, the highest first."""
     names, correlation = _correlation(spread, values)
     found = []
     for j, first in enumerate(names):

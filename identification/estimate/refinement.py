@@ -118,24 +118,17 @@ NEEDED = (
 
 @dataclass(frozen=True)
 class Found:
-    """The final estimate, with the steps that led to it.
-
-    Attributes:
-        spread: Covariance of the fitted parameters.
-        floors: Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an
-            accepted refinement.
-        taken: The refinement, if it is accepted.
-        starts: Search ends of the refinement, whether accepted or not.
-        warnings: Reason why the refinement was rejected.
-    """
+    """The final estimate, with the steps that led to it."""
 
     values: dict[str, float]
-    spread: Spread
+    spread: Spread  # covariance of the fitted parameters
+    # Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an accepted
+    # refinement.
     floors: Mapping[str, float] = field(default_factory=dict)
-    taken: Refined | None = None
-    starts: tuple[Starts, ...] = ()
+    taken: Refined | None = None  # the refinement, if it is accepted
+    starts: tuple[Starts, ...] = ()  # search ends of the refinement, whether accepted or not
     stages: tuple[Convergence, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # reason why the refinement was rejected
 
 
 def refine(

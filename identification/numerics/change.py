@@ -25,35 +25,23 @@ from identification.numerics.arrays import Array
 
 LEAST_RUNS = 6
 """Least number of values for a test; with fewer values, at most four degrees of freedom remain."""
-_LEAST_SIDE = 2
-"""Least number of values before and after a step."""
+_LEAST_SIDE = 2  # least number of values before and after a step
 _MOST_STEPS = 40
-"""Greatest number of positions at which a step is sought; in a longer history these positions are
-spread evenly.
-"""
+"""Greatest number of positions at which a step is sought, spread evenly in a longer history."""
 _DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
-"""Least standard error relative to the median standard error, so that one value does not outweigh
-all others.
-"""
+"""Least standard error over the median one, so that one value does not outweigh all others."""
 _TWO_SIDED_90 = 1.6448536269514722
 
 
 @dataclass(frozen=True)
 class Change:
-    """Change that fits a history best.
+    """Change that fits a history best."""
 
-    Attributes:
-        start: Index of the first value after the step, or None for a drift.
-        size: Size of the step, or change of the drift from the first to the last value.
-        half_width: Half width of the 90 % interval of the size.
-        p_value: Probability that a history without change shows a change of this size or more.
-    """
-
-    start: int | None
-    size: float
-    half_width: float
-    p_value: float
+    start: int | None  # index of the first value after the step, or None for a drift
+    size: float  # size of the step, or change of the drift from the first to the last value
+    half_width: float  # half width of the 90 % interval of the size
+    p_value: float  # probability that a history without change shows a change of this size or more
 
 
 class ChangeTest:

@@ -55,9 +55,7 @@ class Spread:
         return plain(self)  # type: ignore[no-any-return]
 
     def half_width(self, name: str) -> float:
-        """Return the half width of the 90 % interval of a parameter; infinite if the data do not
-        determine the parameter.
-        """
+        """Return the half width of a parameter's 90 % interval; infinite if not determined."""
         k = self.names.index(name)
         return self._half(float(self.matrix[k, k]))
 
@@ -247,9 +245,7 @@ def _scatter(variance: Array) -> Scatter:
 
 
 def correlation_samples(residual: Array) -> float:
-    """Return the correlation time of a series in samples: 1 + 2 times the sum of its
-    autocorrelation up to the first zero.
-    """
+    """Return a series' correlation time in samples: 1 + 2 autocorrelation sum to the first zero."""
     centred = residual - np.mean(residual)
     power = float(centred @ centred)
     if power == 0.0 or len(centred) < 4:

@@ -10,6 +10,7 @@ import click
 
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
+from rig.common.places import replacing, usable
 from rig.common.yaml_tree import DocumentError, parse
 from rig.config.acceptance import Limit, limits_of
 from rig.config.configuration import located_text, validated
@@ -28,14 +29,15 @@ def accept_run(
     folder: Path, limits: Sequence[Limit], source: str, junit_file: Path | None
 ) -> Acceptance:
     """Judge a run, print the outcome, and write the JUnit file if one is requested."""
-    from rig.results.acceptance.certificate import accept, acceptance_document, write_bytes
+    from rig.results.acceptance.certificate import accept, acceptance_document
     from rig.results.document import text
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         found = accept(folder, limits, source, bar)
     if junit_file is not None:
-        write_bytes(junit_file, found.junit)
+        with usable(junit_file, "written"), replacing(junit_file) as draft:
+            draft.write_bytes(found.junit)
     click.echo(text(acceptance_document(found)))
     return found
 

@@ -82,8 +82,7 @@ def _buildable(value: float) -> float:
     return value
 
 
-Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
-"""A constant of a machine, SI."""
+Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]  # a constant of a machine, SI
 
 
 class Measured(float):

@@ -17,8 +17,7 @@ from rig.config.configuration import Positive, Schema, nearest
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
-NO_DEVICE: Final = "none"
-"""Value of ``device`` with which no data of a drive's maker are used."""
+NO_DEVICE: Final = "none"  # value of `device` with which no data of a drive's maker are used
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 

@@ -21,10 +21,8 @@ from rig.wiring.connect import Attach, connect
 from rig.wiring.devices import Devices
 
 _INHIBIT: Final = ("systemd-inhibit", "--what=sleep:idle:handle-lid-switch", "--who=rig")
-_LOOK_NS: Final = NS // 2
-"""Time between two attempts to use a bench that another program uses."""
-_INHIBIT_S: Final = 2.0
-"""Time, s, in which the system must have accepted the request to stay awake."""
+_LOOK_NS: Final = NS // 2  # time between two attempts to use a bench that another program uses
+_INHIBIT_S: Final = 2.0  # time, s, in which the system must have accepted the request to stay awake
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from identification.diagnosis.result import Verdict as Outcomes
-from identification.plots import investigation as plots
+from identification.plots import mismatch as plots
 from rig.common.tables import number, percent
 from rig.investigate.choice import spoken
 from rig.investigate.confirmation import BAND, Confirmation

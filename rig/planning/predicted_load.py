@@ -115,10 +115,8 @@ def _model(
     return FrictionModel(values, alpha, arm, moment_per_kg(bench), source, measured, missing)
 
 
-WARNING_SHARE = 0.8
-"""Predicted peak, as a share of its limit, above which the program warns."""
-LOOP_S = 0.005
-"""Time in which a drive with stiff gains follows a step of the speed, s."""
+WARNING_SHARE = 0.8  # predicted peak, as a share of its limit, above which the program warns
+LOOP_S = 0.005  # time in which a drive with stiff gains follows a step of the speed, s
 FIRST_PASS = "first pass"
 LESS = "use less weight, or a slower or smaller motion"
 _HIGHER = "a greater limit_share of first_pass in the sequence"

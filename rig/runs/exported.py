@@ -36,8 +36,7 @@ from rig.common.places import is_file
 from rig.common.provenance import sha256_file
 
 SCHEMA = "loadrig.export/1"
-KEY = "loadrig"
-"""Name of the description inside a file."""
+KEY = "loadrig"  # name of the description inside a file
 _STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 Read = tuple["Described", Mapping[str, Array]]
 """Result of a reader for each recording: its description and its channels."""
@@ -287,8 +286,7 @@ def topics(names: Sequence[str]) -> list[str]:
     return found
 
 
-_CDR_HEAD = 4
-"""Number of bytes before the first field of a message."""
+_CDR_HEAD = 4  # number of bytes before the first field of a message
 
 
 def _read_mcap(path: Path) -> list[Read] | None:

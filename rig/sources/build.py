@@ -138,8 +138,7 @@ LEAST_JITTER = 0.005
 """Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
 MOST_OFF = 0.25
 """Greatest mean deviation of neighbouring stamps from the grid, in periods, as by a lost sample."""
-WINDOW = 101
-"""Number of neighbouring stamps over which the deviation from the grid is averaged."""
+WINDOW = 101  # number of neighbouring stamps over which the deviation from the grid is averaged
 SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
 counts as right.

@@ -155,8 +155,7 @@ NO_BUS = (
     "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
     "`practical`, or add a bus"
 )
-_SPEED_SHARE = 2.0
-"""Fastest plausible speed of the joint, in units of the limit of the bench file."""
+_SPEED_SHARE = 2.0  # fastest plausible speed of the joint, in units of the limit of the bench file
 Hang = Callable[[float], None]
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 """Function that gets a simulated bench before its bus is opened; returns the host's clock."""

@@ -134,35 +134,6 @@ def test_the_closed_loop_settles_and_moves_its_own_load(
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
 
 
-def test_the_sine_is_followed_better_and_its_energy_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    short = tmp_path / "figure10.yaml"
-    text = resolve("figure10", "sequences").read_text()
-    short.write_text(
-        text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5")
-    )
-    monkeypatch.setattr(figures, "SINE_SEQUENCE", str(short))
-    monkeypatch.setattr(figures, "FIRST_S", 1.0)
-    monkeypatch.setattr(figures, "CYCLES", 1)
-    known = tmp_path / "known.json"
-    known.write_text("{}")
-    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
-    made = figures.compensation_exhibit(
-        *figures.run_both(figures.SINE_BENCH, figures.SINE_SEQUENCE, tmp_path, model, 5)
-    )
-    data = numbers(made)
-    for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
-        before, after = (
-            np.sqrt(np.mean(data[f"error_{stage}{fed}_rad"] ** 2)) for fed in ("", "_fed")
-        )
-        assert before > ratio * after
-        for fed in ("", "_fed"):
-            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * figures.PERIOD_S < energy[1]
-    assert made.table is not None
-    assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
-
-
 def test_fig_4_falls_with_pressure_and_area() -> None:
     made = figures.sweep_exhibit(0)
     for name, fastest in (("fig_4", 0.7), ("fig_4_slow", 7.0)):

@@ -104,9 +104,6 @@ class HostedMachine(DrivenMachine):
     circuit: this damps any machine, while the voltage of an open winding depends on constants that
     the drive does not know. After an error in the machine, the power is off, and the machine is
     not called again: it stands still.
-
-    Attributes:
-        failure: The error in the machine, or None.
     """
 
     def __init__(
@@ -130,7 +127,7 @@ class HostedMachine(DrivenMachine):
             MachineError: The machine fails in the reset or in the first step.
         """
         super().__init__(machine, rng)
-        self.failure: MachineError | None = None
+        self.failure: MachineError | None = None  # the error in the machine, or None
         self._plant, self._path = file
         self._tell: Callable[[MachineError], None] | None = None
         self._joint = self._run_s = 0.0

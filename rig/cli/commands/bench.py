@@ -41,8 +41,7 @@ from rig.wiring.teardown import observed
 JOG_SCHEMA = "loadrig.jog/1"
 
 
-ENDS_S: Final = 0.7
-"""Time for the present attempt after the second Ctrl-C, s."""
+ENDS_S: Final = 0.7  # time for the present attempt after the second Ctrl-C, s
 GOES_ON: Final = (
     "the drive is NOT proved off yet: `rig off` goes on taking the power off; a second Ctrl-C ends "
     "`rig off` without this proof"

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rig.investigate.investigation import Judgement, State
     from rig.terminal.output import ShareBar
 
-FIRST = "figure10"
-"""Sequence of the first run if neither a sequence nor a run is given."""
+FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run is given
 
 
 @click.command("investigate")

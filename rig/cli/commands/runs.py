@@ -322,7 +322,7 @@ def accept(
     The limits are those of --acceptance, else those of the file that was given to `rig run`, else
     those of the recorded sequence. If the limits need identified parameters or a diagnosis, and the
     run folder has no such result, RUN is identified or diagnosed. The command writes
-    acceptance.json, certificate.html, certificate.pdf and SHA256SUMS into the run folder. The exit
+    acceptance.json, certificate.html and SHA256SUMS into the run folder. The exit
     status is 1 if a limit is not met.
 
     \b

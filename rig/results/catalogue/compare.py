@@ -76,9 +76,7 @@ class RunFigures:
 
 
 def figures_of(folder: Path) -> RunFigures:
-    """Return the measured values of a run. Values of excitations are None if no excitation was
-    finished.
-    """
+    """Return the measured values of a run; those of excitations are None if none was finished."""
     record = read_record(folder)
     dataset, problem = None, ""
     try:
@@ -373,32 +371,22 @@ def _difference_record(each: Difference) -> dict[str, Any]:
     }
 
 
-FALSE_ALARMS = 0.01
-"""Greatest share of the histories without change in which a change is reported."""
+FALSE_ALARMS = 0.01  # greatest share of the histories without change in which a change is reported
 _HALF_WIDTHS = 1.6448536269514722
 """Ratio of the half width of a 90 % interval to the standard error."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """Values of one identified parameter in the runs that determine it, in the order of the runs.
-
-    Attributes:
-        name: Name of the constant.
-        runs: Index of the run of each value, in the history.
-        constants: The values with their intervals.
-        change: The step or drift that fits best; None with too few runs.
-        p_value: p-value of the change, for all constants of the history together; None without a
-            test.
-        with_devices: Devices that were replaced at the step.
-    """
+    """Values of one identified parameter in the runs that determine it, in order of the runs."""
 
     name: str
-    runs: tuple[int, ...]
-    constants: tuple[Constant, ...]
-    change: Change | None
+    runs: tuple[int, ...]  # index of the run of each value, in the history
+    constants: tuple[Constant, ...]  # the values with their intervals
+    change: Change | None  # the step or drift that fits best; None with too few runs
+    # p-value of the change, for all constants of the history together; None without a test.
     p_value: float | None
-    with_devices: tuple[str, ...] = ()
+    with_devices: tuple[str, ...] = ()  # devices that were replaced at the step
 
     @property
     def alarm(self) -> bool:

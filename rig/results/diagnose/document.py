@@ -355,9 +355,7 @@ def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
 
 OBSERVABLE_SCHEMA = "loadrig.observable/1"
 HIDDEN = 0.01
-"""Share of a regressor beyond the nominal parameters below which the effect counts as collinear
-with the nominal model.
-"""
+"""Share of a regressor beyond the nominal parameters, below which an effect is collinear."""
 
 
 @dataclass(frozen=True)

@@ -29,16 +29,13 @@ from rig.results.diagnose.model_file import model_of
 
 TRAVEL_SHARE = 0.85
 SPEED_SHARE = 0.5
-WEIGHT_SHARE = 0.75
-"""Shares of a bench's limits that an experiment uses."""
+WEIGHT_SHARE = 0.75  # shares of a bench's limits that an experiment uses
 _LIGHT = 1.0 / 3.0
 _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
 _RESTS_S = (0.1, 0.5, 2.0, 8.0)
 _STILL_DEG = 0.02
-"""Amplitude, deg, at which a joint with friction stays at rest while its holding torque is
-recorded.
-"""
+"""Amplitude, deg, at which friction holds the joint while its holding torque is recorded."""
 
 
 @dataclass(frozen=True)

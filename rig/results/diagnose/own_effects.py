@@ -17,19 +17,12 @@ from rig.common.provenance import sha256_file
 
 @dataclass(frozen=True)
 class OwnFile:
-    """A file with effects of one's own.
+    """A file with effects of one's own."""
 
-    Attributes:
-        path: The file; None for no file.
-        sha256: Its SHA-256.
-        effects: Its effects, in the order of their definition.
-        injects: Name of each effect that a function of the file injects into a simulated machine
-            to this function.
-    """
-
-    path: Path | None = None
+    path: Path | None = None  # the file; None for no file
     sha256: str = ""
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...] = ()  # its effects, in the order of their definition
+    # Name of each effect that a function of the file injects into a simulated machine to it.
     injects: Mapping[str, Callable[..., float]] = field(default_factory=dict)
 
     @cached_property

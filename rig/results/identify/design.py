@@ -43,28 +43,19 @@ from rig.results.document import Document as Page
 from rig.results.document import Note, Section, Table
 from rig.runs.run import bench_constants, load_run
 
-_SMALLEST = 1e-12
-"""Smallest plausible parameter value, SI units; the largest is its inverse."""
+_SMALLEST = 1e-12  # smallest plausible parameter value, SI units; the largest is its inverse
 
 
 @dataclass(frozen=True)
 class NominalValues:
-    """Nominal values of a bench before an experiment.
+    """Nominal values of a bench before an experiment."""
 
-    Attributes:
-        values: The nine parameters, SI.
-        source: Origin of the nominal values, as text.
-        weakest: The least accurate parameter, or None if unknown.
-        recordings: The recordings from which the values were identified, if the run can still be
-            read.
-        torque_noise: Noise of the measured torque, N m rms, or None if unknown.
-    """
-
-    values: dict[str, float]
-    source: str
-    weakest: str | None = None
+    values: dict[str, float]  # the nine parameters, SI
+    source: str  # origin of the nominal values, as text
+    weakest: str | None = None  # the least accurate parameter, or None if unknown
+    # The recordings from which the values were identified, if the run can still be read.
     recordings: tuple[Recording, ...] = ()
-    torque_noise: float | None = None
+    torque_noise: float | None = None  # noise of the measured torque, N m rms, or None if unknown
 
 
 def nominal_values(path: Path | None) -> NominalValues:
@@ -128,8 +119,7 @@ def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
     return tuple(out)
 
 
-NOISE_SHARE = 1e-3
-"""Default current noise as a share of the bench's current limit."""
+NOISE_SHARE = 1e-3  # default current noise as a share of the bench's current limit
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses, kg, to choose from beside the sequence's, if the bench file lists none."""
 

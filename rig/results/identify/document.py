@@ -65,8 +65,7 @@ PRIORS_NOTE = (
     "intervals of the parameters that correlate with its parameter. Trade-offs, profiles and "
     "bootstrap are from the recordings alone."
 )
-_MOVED = 4
-"""Largest number of parameters in a row of the table of constants."""
+_MOVED = 4  # largest number of parameters in a row of the table of constants
 
 
 def uncertainty_notes(result: Identification) -> list[str]:

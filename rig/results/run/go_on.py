@@ -80,7 +80,7 @@ def _tripped(record: RunRecord) -> Check | None:
 
 
 ACCEPTANCE_FILE: Final = "acceptance.json"
-CERTIFICATE_PAGE, CERTIFICATE_PDF = "certificate.html", "certificate.pdf"
+CERTIFICATE_PAGE = "certificate.html"
 _VERDICTS: Final = frozenset({"accepted", "rejected"})
 
 
@@ -103,7 +103,7 @@ def read_verdict(folder: Path) -> dict[str, Any] | None:
             "verdict": found["verdict"],
             "checks": len(found["checks"]),
             "failed": [f"{c['limit']}: {c['words']}" for c in found["checks"] if not c["passed"]],
-            "pages": [p for p in (CERTIFICATE_PAGE, CERTIFICATE_PDF) if (folder / p).is_file()],
+            "pages": [CERTIFICATE_PAGE] if (folder / CERTIFICATE_PAGE).is_file() else [],
         }
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -280,7 +280,7 @@ def half_written(tmp_path: Path) -> Path:
         folder = tmp_path / "runs" / name
         (folder / "diagnosis").mkdir(parents=True)
         (folder / "run.json").write_text("{")
-        for file in ("run.html", "diagnosis/report.html", "certificate.pdf", "notes.html"):
+        for file in ("run.html", "diagnosis/report.html", "certificate.html", "notes.html"):
             (folder / file).write_text(f"{name} {file}")
     (tmp_path / "runs" / "none").mkdir()
     (tmp_path / "runs" / "none" / "run.html").write_text("no run")
@@ -300,7 +300,7 @@ def test_the_runs_are_listed_as_what_they_are(half_written: Path) -> None:
         assert [name for name, _ in run["pages"]] == [
             "run.html",
             "diagnosis/report.html",
-            "certificate.pdf",
+            "certificate.html",
         ]
 
 
@@ -313,7 +313,7 @@ def test_the_latest_of_many_are_listed(tmp_path: Path) -> None:
     assert found["runs"][0]["folder"] == f"{SHOWN + 4:03}"
 
 
-@pytest.mark.parametrize("name", ["run.html", "diagnosis/report.html", "certificate.pdf"])
+@pytest.mark.parametrize("name", ["run.html", "diagnosis/report.html", "certificate.html"])
 def test_the_pages_of_a_run_are_given_out_without_power_to_act(
     half_written: Path, name: str
 ) -> None:
