@@ -668,15 +668,6 @@ def test_npz(tmp_path: Path) -> None:
         open_table(path, PLAIN)
 
 
-def test_decimal_commas_when_told(tmp_path: Path) -> None:
-    text = 't;x\n0,5;-1,25e3\n1;"2,5"\n'
-    t, x = delimited(tmp_path, text, ReadSection(decimal=",")).read([0, 1])
-    np.testing.assert_array_equal(t, [0.5, 1.0])
-    np.testing.assert_array_equal(x, [-1250.0, 2.5])
-    headless = delimited(tmp_path, "0,5;1,5\n1,0;2,5\n", ReadSection(decimal=","))
-    np.testing.assert_array_equal(headless.read([1])[0], [1.5, 2.5])
-
-
 def test_moves_from_rest_between_two_places_are_no_turns() -> None:
     rng = np.random.default_rng(0)
     places = np.repeat(np.tile([203.0, 150.0], 12), 12) + np.repeat(rng.integers(-4, 14, 24), 12)

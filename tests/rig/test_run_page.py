@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -49,24 +48,20 @@ from rig.results.run.charts import (
 )
 from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE, NOT_READ_BACK
 from rig.results.run.recorded import (
-    BRAKING,
     COLUMNS,
     MOVING,
     NAMES,
     STATES,
     Derived,
     Deriver,
-    Moment,
     Recorded,
     Series,
-    Span,
     Traces,
     Tripped,
     _gathered,
     limit_steps,
     read_attachments,
     spans,
-    with_braking,
 )
 from rig.results.run.report import REPORT_FILE, inlined_script, write_run_report, write_verdict
 from rig.runs.mcap.reader import Block, Happening
@@ -423,15 +418,6 @@ def test_without_a_recording_the_rest_of_the_page_is_there(
     assert html.rstrip().endswith("</body></html>")
 
 
-def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(
-    whole: tuple[Path, RunRecord], tmp_path: Path
-) -> None:
-    content = (whole[0] / "recording.mcap").read_bytes()
-    html = broken(whole, tmp_path / "run", content[: int(0.6 * len(content))])
-    assert "The recording is damaged: whole up to byte" in html
-    assert titles(html)
-
-
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_whatever_the_recording_is_like_there_is_a_page(
@@ -633,16 +619,6 @@ def test_phases_follow_from_events_and_excitations() -> None:
     ]
 
 
-def test_what_comes_after_the_end_is_braking() -> None:
-    whole = [Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")]
-    cut = with_braking(whole, Moment(1.5, "tripped"))
-    assert [(s.start, s.stop, s.phase) for s in cut] == [
-        (0.0, 1.0, "excite"),
-        (1.0, 1.5, "hold"),
-        (1.5, 2.0, BRAKING),
-    ]
-
-
 @settings(max_examples=25)
 @given(
     count=st.integers(2, 9000),
@@ -725,34 +701,6 @@ def test_the_limit_of_a_trip_is_drawn_where_no_other_is_known() -> None:
     assert made.beyond
     pressure = next(panel for panel in PANELS if Check.PRESSURE in panel.checks)
     assert chart(pressure, current(1.0), [], None, tall=False) is None
-
-
-def test_long_pauses_are_drawn_short_and_short_ones_to_scale() -> None:
-    axis = TimeAxis([(0.0, 10.0), (300.0, 310.0), (310.1, 320.0)])
-    assert axis.pauses == [(10.0, 300.0)]
-    assert axis.at(0.0) == 0.0
-    assert axis.at(320.0) == pytest.approx(1.0)
-    assert axis.at(300.0) - axis.at(10.0) == pytest.approx(0.02)
-    assert axis.at(310.0) - axis.at(300.0) == pytest.approx(axis.at(10.0) - axis.at(0.0))
-
-
-@given(
-    first=st.floats(0.0, 1e5),
-    lengths=st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=6),
-    pause=st.floats(0.0, 1e4),
-)
-def test_labels_of_the_time_axis_leave_room_for_one_another(
-    first: float, lengths: list[float], pause: float
-) -> None:
-    powered, at = [], first
-    for length in lengths:
-        powered.append((at, at + length))
-        at += length + pause
-    ticks = list(TimeAxis(powered).ticks())
-    assert len(ticks) <= 9
-    places = [place for place, _ in ticks]
-    assert all(0.0 <= place <= 1.0 + 1e-9 for place in places)
-    assert all(after - before >= 0.12 for before, after in pairwise(places))
 
 
 def plots_data(plots: Plots) -> Any:

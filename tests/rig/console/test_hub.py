@@ -20,7 +20,7 @@ import rig.console.hub as run_link
 from drivers.clock import NS, SimulatedClock
 from rig.console.app import Console
 from rig.console.followed import SILENT_S
-from rig.console.gate import MOST_PAGES, MOST_READERS, Token
+from rig.console.gate import Token
 from rig.console.hub import TICK_S, Hub, Links, Page, Refusal, Unreachable
 from rig.console.starting import Starter
 from rig.terminal.control_socket import VERSION, Command, ControlSocket, socket_folders
@@ -260,21 +260,6 @@ def test_programs_on_other_benches_are_not_stopped(
     desk.reached("jog", bench="mine")
     Sent(desk, monkeypatch)
     assert desk.press()["stopped"] == ["jog"]
-
-
-@pytest.mark.parametrize(("may", "most"), [(True, MOST_PAGES), (False, MOST_READERS)])
-def test_pages_are_bounded_with_the_token_and_without(desk: Desk, may: bool, most: int) -> None:
-    controls = desk.hub.controls
-    desk.hub.controls.close(desk.page)
-    opened = []
-    while controls.room(may):
-        opened.append(controls.open())
-        if may:
-            controls.admit(opened[-1])
-    assert len(opened) == most
-    assert controls.room(not may)
-    controls.close(opened[0])
-    assert controls.room(may)
 
 
 def test_questions_to_a_run_that_hangs_leave_room_for_stop_in_its_queue(

@@ -37,12 +37,6 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield made
 
 
-def test_the_sockets_are_this_users_only(console: Served) -> None:
-    folder = console.place.sockets
-    assert folder.stat().st_mode & 0o777 == 0o700
-    assert {path.stat().st_mode & 0o077 for path in folder.glob("console-*.sock")} == {0}
-
-
 class Page:
     """The WebSocket of a page."""
 
