@@ -191,9 +191,10 @@ def load_turning(folder: Path, values: np.ndarray, key: str = "") -> Recording:
     return load(folder, text, f"{{time: t, current: i, angle: {{column: q{key}}}}}")
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("zero", [0.0, 0.5])
-@pytest.mark.parametrize("per_turn", [0.7, 6.3, 55.0])
+@pytest.mark.parametrize(
+    ("turn", "zero", "per_turn"),
+    [(t, 0.5 * (k % 2), (0.7, 6.3, 55.0)[k % 3]) for k, t in enumerate(TURNS)],
+)
 def test_an_angle_that_starts_again_is_asked_for_and_continued(
     tmp_path: Path, turn: float, zero: float, per_turn: float
 ) -> None:
@@ -216,7 +217,7 @@ def test_an_angle_that_starts_again_is_asked_for_and_continued(
     scatter=st.floats(0.0, 5e-4),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 def test_any_turn_is_found_at_its_jumps(
     turn: float, zero: float, swing: float, scatter: float, seed: int
 ) -> None:
@@ -234,7 +235,7 @@ def test_any_turn_is_found_at_its_jumps(
     seed=st.integers(0, 999),
     kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60)
 def test_an_angle_that_does_not_start_again_is_left_alone(seed: int, kind: str) -> None:
     noise = np.random.default_rng(seed)
     angle = {
@@ -296,8 +297,9 @@ def test_a_magnitude_with_noise_below_zero_is_recognised(tmp_path: Path) -> None
     assert "negate" not in str(refused.value)
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
-@pytest.mark.parametrize("rate", [100.0, 400.0, 1000.0])
+@pytest.mark.parametrize(
+    ("unit", "scale", "rate"), [("ms", 1e-3, 100.0), ("us", 1e-6, 400.0), ("ns", 1e-9, 1000.0)]
+)
 def test_seconds_in_another_unit_are_doubted_with_the_scale(
     tmp_path: Path, unit: str, scale: float, rate: float
 ) -> None:

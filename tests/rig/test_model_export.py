@@ -120,11 +120,3 @@ def test_a_curve_against_the_motion_changes_its_sign_with_it(tmp_path: Path) -> 
     assert np.abs(added).min() > 0.5
     assert added == pytest.approx(carried(curve, "torque", s))
     assert yaml.safe_load(yaml_text(model, RECORDING))["curve"]["against_motion"] is True
-
-
-def test_yaml_holds_parameters_constants_and_effects() -> None:
-    model = CorrectedModel(PARAMETERS, 2.0, {"backlash": {"gap_rad": 0.007}})
-    record = yaml.safe_load(yaml_text(model, RECORDING))
-    assert record["parameters"] == PARAMETERS
-    assert record["effects"] == {"backlash": {"gap_rad": 0.007}}
-    assert record["constants"]["ampere_torque"] == pytest.approx(3.0)

@@ -132,15 +132,6 @@ def test_every_shape_is_the_truth(tmp_path: Path, value: object) -> None:
     np.testing.assert_allclose(recording.channels["angle"], ANGLE, rtol=0, atol=1e-14)
 
 
-def test_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    (tmp_path / "log.json").write_text("\ufeff" + json.dumps(COLUMNS), encoding="utf-8")
-    recording = load_file(tmp_path, "log.json", NAMED)
-    same(recording.time, TIME)
-    same(recording.channels["current"], CURRENT)
-    same(recording.channels["angle"], ANGLE)
-    assert recording.notes == ()
-
-
 def test_dates_nulls_and_nanoseconds(tmp_path: Path) -> None:
     stamps = pd.to_datetime(1_700_000_000_000_000_000 + np.arange(N) * 1_000_001)
     current: list[object] = [*CURRENT]
