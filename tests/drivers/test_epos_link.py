@@ -406,15 +406,6 @@ def test_one_wrong_bit_never_gives_another_frame(frame: Frame, data: st.DataObje
     assert all(found == frame for found in decoder.feed(bytes(wire)))
 
 
-def test_a_broken_frame_is_dropped_and_the_next_is_read() -> None:
-    decoder = FrameDecoder()
-    assert decoder.feed(READ[:-3] + READ) == [Frame(0x60, bytes.fromhex("01 B0 30 00"))]
-    assert decoder.feed(READ[:-1] + b"\x00" + ANSWER) == [
-        Frame(0, bytes.fromhex("00 00 00 00 01 90 00 00"))
-    ]
-    assert decoder.bad >= 2
-
-
 def test_a_megabaud_line_carries_five_objects_in_two_milliseconds() -> None:
     worst = bytes([DLE]) * 4
     write = len(encode(Opcode.WRITE_OBJECT, b"\x01\x7a\x60\x00" + worst)) + len(

@@ -89,17 +89,6 @@ def test_a_report_is_one_page_and_its_figures_are_files_too(folder: Path) -> Non
         assert words in page
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_many_recordings_are_cut_short_and_there_is_no_truth_unless_known(tmp_path: Path) -> None:
-    many = Dataset(tuple(recording(f"r{k}") for k in range(8)))
-    result = identify_paper(
-        many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
-    )
-    page = written(tmp_path, many, result)
-    assert "2 more recordings" in page
-    assert ">true<" not in page
-
-
 def result() -> Identification:
     stage = Convergence(
         "unloaded",
