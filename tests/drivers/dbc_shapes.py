@@ -121,7 +121,6 @@ def drawn_frame(rng: Random, name: str, identifier: int) -> Frame:
         part = drawn_field(rng, word, size, paged and frame.selector() is None)
         if paged and frame.fields and frame.selector() and rng.random() < 0.7:
             selector = frame.selector()
-            assert selector is not None
             part = replace(part, page=rng.randint(0, min(3, (1 << selector.width) - 1)))
         bits = set(part.bits())
         hidden = taken[None] | taken.setdefault(part.page, set())
@@ -192,7 +191,6 @@ def require_signal(signal: Signal, part: Field, frame: bytes, selector: Field | 
     if part.page is None:
         assert signal.selector is None, part
     else:
-        assert selector is not None
         assert signal.selector is not None, part
         assert (signal.selector.name, signal.pages) == (selector.name, (part.page,)), part
 

@@ -154,7 +154,6 @@ def require_target(rng: Random, spec: DbcMap, wiring: Wiring, at: Place) -> None
     # Offsets in SI take digits of a raw value that is beyond them by a factor of 1e10.
     assert math.isclose(found, asked, rel_tol=1e-6, abs_tol=1e-3), f"{found} is not {asked}"
     if part.page is not None:
-        assert selector is not None
         assert selector.raw(frame) == part.page, "the target is on another page"
 
 

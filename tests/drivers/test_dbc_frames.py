@@ -109,7 +109,6 @@ def test_the_flags_of_an_identifier_reach_the_bus(flags: int) -> None:
     ):
         PythonCanPort(near, clock).transmit(number | flags, data)
         message = far.recv(1.0)
-        assert message is not None
         assert message.arbitration_id == number
         assert message.is_extended_id is bool(flags & EXTENDED_FLAG)
         assert message.is_remote_frame is bool(flags & REMOTE_FLAG)
@@ -288,5 +287,4 @@ def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
     assert current == 20  # 10.3 A for the torque, never more.
     assert servo.read_limits() == HELD
     assert servo.limits_taken == frozenset()
-    assert servo.limit_places is not None
     assert servo.limit_places["speed_rad_s"] == "Limits.Speed, written but not reported"

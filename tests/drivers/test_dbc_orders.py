@@ -146,7 +146,6 @@ def test_a_torque_offset_goes_with_the_target_and_rests_without_it(tmp_path: Pat
     spec = replace(ordered(enable=enable), torque_offset=Quantity("Command.Torque"))
     wiring = wired(tmp_path, spec)
     channel = DbcChannel(wiring, "the motor")
-    assert wiring.torque_offset is not None
     channel.push(wiring.torque_offset.bits(1.0))
     assert sent(channel)[0][1] == "fffffffffffffffd"
     channel.order(wiring.enable[S.OPERATION_ENABLED], hold=True)

@@ -191,7 +191,6 @@ def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
 def lived(bench: Bench) -> None:
     """Do what a short run does, in which each step fails or not."""
     link, servo = bench.link, bench.servo
-    assert servo is not None
     link.open()
     with suppress(DeviceError):
         servo.prepare(0.002)

@@ -200,7 +200,6 @@ def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
 def test_a_transmitter_is_read(status: int, pressure: float) -> None:
     bench = simulated_bench(Machine(), 0, transmitter_node=4)
     host = make_host()
-    assert bench.transmitter is not None
     link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
     device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 100.0)
     link.open()
@@ -249,7 +248,6 @@ def test_a_limit_that_does_not_fit_names_its_key(
     assert found.keys[0] == key
     assert all(key in str(found) for key in found.keys)
     held = re.search(r"can hold (\S+) to ([^ :]+)", str(found))
-    assert held is not None
     shown = math.degrees(value) if "_rad" in field else value
     assert not float(held[1]) <= shown <= float(held[2])
     with pytest.raises(LimitError) as caught:

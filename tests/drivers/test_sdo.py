@@ -25,7 +25,6 @@ def make_server() -> SdoServer:
 
 
 def abort_code(response: bytes | None) -> int | None:
-    assert response is not None
     return struct.unpack_from("<I", response, 4)[0] if response[0] == 0x80 else None
 
 

@@ -534,7 +534,6 @@ def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
             text=True,
         )
         try:
-            assert process.stdout is not None
             path = process.stdout.readline().strip()
             if not path:
                 raise RuntimeError((folder / "peer.err").read_text())
@@ -542,7 +541,6 @@ def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
         finally:
             process.kill()
             process.wait()
-            assert process.stdout is not None
             process.stdout.close()
 
 

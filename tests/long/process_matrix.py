@@ -166,7 +166,6 @@ def befall(scene: Scene) -> int:
         case "line garbage":
             return scene.bench.garbage(len(scene.phase))
         case "second program":
-            assert scene.second is not None
             scene.second.open_gate()
         case "terminal stalled":
             console.key(STOP_KEY)

@@ -53,13 +53,11 @@ class PtyBench:
 
     def bytes_sent(self) -> int:
         """Return how many bytes programs have sent to it so far."""
-        assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
         return int(self._line())
 
     def _line(self) -> str:
-        assert self._process.stdout is not None
         return self._process.stdout.readline()
 
 
@@ -71,7 +69,6 @@ def pty_bench(kind: str, folder: Path) -> Iterator[PtyBench]:
     with subprocess.Popen(
         words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
     ) as process:
-        assert process.stdin is not None
         try:
             yield PtyBench(process, kind, folder)
             process.stdin.close()

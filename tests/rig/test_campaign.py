@@ -80,7 +80,6 @@ def test_defaults_reach_every_recording_and_yield_to_it(tmp_path: Path) -> None:
         "  - {file: b.csv, gravity: null, channels: {angle: {scale: 3}, torque: n}}\n"
     )
     first, second = load_campaign(tmp_path / "c.yaml").value.recordings
-    assert first.gravity is not None
     assert (first.gravity.mass, first.gravity.zero) == (1.0, 0.5)
     assert first.channels["angle"].scale == 2
     assert second.gravity is None

@@ -74,7 +74,6 @@ def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
     }
     assert {0x010, 0x080, 0x110, 0x120, 0x190, 0x191, 0x1A0, 0x1B1, 0x182} <= identifiers
     truth = truth_of(run)
-    assert truth is not None
     assert truth["Mc"] == 6.825
 
 

@@ -164,7 +164,6 @@ def test_the_corrected_model_lies_beside_the_report(
     campaign.write_text(text)
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     hidden = load_bench(out / "bench.yaml").value.mock
-    assert hidden is not None
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
 
 

@@ -224,7 +224,6 @@ def test_any_turn_is_found_at_its_jumps(
     noise = scatter * np.random.default_rng(seed).standard_normal(len(LONG))
     stored = turning(turn, zero, swing, noise)[:, 2]
     found = starts_again(stored)
-    assert found is not None
     assert abs(found.after - turn) <= 2.0 * found.uncertainty
     for bits in range(8, 17):
         if found.agrees(2.0**bits):

@@ -123,7 +123,6 @@ def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_
         assert scored["load_dependent"] < scored["stribeck"]
         for rung in rungs.values():
             assert rung.result.fit.unit == "V"
-            assert rung.angle is not None
             assert 5.0 < 1e3 * rung.angle.value < worst_mrad
 
 
@@ -159,7 +158,6 @@ def test_emps_carried_over_from_the_pulses_moves_the_mass(recordings: Path) -> N
     mass = next(m for m in found.parameters if m.name == "J")
     assert mass.difference == pytest.approx(1.1, abs=0.3)
     assert {m.name for m in found.parameters if m.moved} <= {"J"}
-    assert found.floor is not None
     assert found.floor.rms < 0.2 * found.own.train_rms < found.fit.train_rms
 
 
@@ -199,8 +197,6 @@ def test_sts3032_predicts_the_angle_of_the_other_mass(
     }
     for friction in (TRANSMITTED, DIRECTIONAL):
         declared, free = (rungs[friction, way].scored for way in (False, True))
-        assert declared is not None
-        assert free is not None
         assert 1e3 * declared.value < declared_mrad
         assert 1e3 * free.value < free_mrad
         drive = next(c for c in rungs[friction, True].constants if c.name == "torque_per_volt")

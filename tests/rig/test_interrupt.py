@@ -76,7 +76,6 @@ def running(tmp_path: Path, *options: str, hold: bool = False) -> Iterator[subpr
 
 
 def wait_for(child: subprocess.Popen[str], words: str, times: int = 1) -> None:
-    assert child.stdout is not None
     said = ""
     while said.count(words) < times:
         character = child.stdout.read(1)
@@ -113,7 +112,6 @@ def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) 
         child.send_signal(signal.SIGINT)
         wait_for(child, "braking")
         child.send_signal(signal.SIGINT)
-        assert child.stdin is not None
         child.stdin.write("\n")
         child.stdin.flush()
         assert_stopped(child, tmp_path, "phase excite: stopped by the operator")

@@ -44,13 +44,11 @@ class Program:
         return self.process.pid
 
     def tell(self, words: str, answer: str) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n")
         self.process.stdin.flush()
         self.hear(answer)
 
     def hear(self, answer: str) -> None:
-        assert self.process.stdout is not None
         assert self.process.stdout.readline() == f"{answer}\n"
 
     def kill(self) -> None:
@@ -127,7 +125,6 @@ def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: 
     with program(kind, tmp_path) as first:
         first.kill()
         with hold(kind, tmp_path) as lock:
-            assert lock.taken_over is not None
             assert f"was left locked by `rig run` (process {first.pid}, user " in lock.taken_over
             assert lock.taken_over.endswith(
                 "which no longer holds the lock; the lock is taken over"
@@ -155,7 +152,6 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
         first.tell("release", "released")
         assert lock_file(kind, tmp_path).exists() is (kind == "bench")
         assert free(kind, tmp_path)
-        assert first.process.stdin is not None
         first.process.stdin.close()
 
 
@@ -169,7 +165,6 @@ def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path
             hold(kind, tmp_path)
         first.tell("release", "released")
         assert free(kind, tmp_path)
-        assert first.process.stdin is not None
         first.process.stdin.close()
 
 

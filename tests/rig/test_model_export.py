@@ -54,8 +54,6 @@ def imported(text: str, tmp_path: Path) -> ModuleType:
     path = tmp_path / "model.py"
     path.write_text(text)
     spec = importlib.util.spec_from_file_location("exported", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

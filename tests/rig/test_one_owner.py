@@ -42,7 +42,6 @@ class Rig:
 
     def wait_for(self, prompt: str) -> None:
         """Read what it says until it asks."""
-        assert self.process.stderr is not None
         said = b""
         while not said.endswith(prompt.encode()):
             letter = self.process.stderr.read(1)
@@ -50,7 +49,6 @@ class Rig:
             said += letter
 
     def answer(self, words: str) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n".encode())
         self.process.stdin.flush()
 
@@ -153,7 +151,6 @@ def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
     monkeypatch.setattr(CanopenLink, "close", watched_close)
     with connect(load_bench("practical"), 0, False, purpose="rig jog") as devices:
         assert in_use() == "rig jog"
-        assert devices.lock is not None
         assert len(devices.lock.descriptors) == 1
     assert seen == [("open", "rig jog"), ("close", "rig jog")]
     assert in_use() == "free"

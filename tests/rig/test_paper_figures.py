@@ -21,7 +21,6 @@ from rig.results.paper.tables import TABLE_1, TABLE_2
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
     """Columns of numbers of an exhibit's data."""
-    assert exhibit.data is not None
     titles, rows = exhibit.data[name or exhibit.name]
     return {
         title: np.array(column)
@@ -91,7 +90,6 @@ def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
     assert all(p.uniform for p in stiff)
     assert not any(p.uniform for p in soft if abs(p.speed) < np.deg2rad(5.0))
     made = figures.uniform_exhibit(study)
-    assert made.table is not None
     rows = {row[0]: row for row in made.table.rows}
     at = made.table.header.index("stiff gains, no weight") + 1
     errors = {
@@ -159,7 +157,6 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
         assert before > ratio * after
         for fed in ("", "_fed"):
             assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * figures.PERIOD_S < energy[1]
-    assert made.table is not None
     assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
 
 

@@ -226,8 +226,6 @@ def test_what_the_drive_assumes_follows_from_the_bench() -> None:
     del tree["mock"]["plant"]
     Path("own.yaml").write_text(yaml.safe_dump(tree))
     mine, own = (load_bench(name).value.mock for name in ("mine.yaml", "own.yaml"))
-    assert mine is not None
-    assert own is not None
     assert (mine.motor, mine.loops, mine.sensing) == (own.motor, own.loops, own.sensing)
     assert mine.motor.gear_ratio == 80
     assert dict(mine.plant) == NOMINAL_CLASS

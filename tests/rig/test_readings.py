@@ -63,7 +63,6 @@ def test_both_ends_of_the_angle(end: str) -> None:
 
 def test_both_sides_of_the_pressure() -> None:
     gas = HOT.gas
-    assert gas is not None
     anywhere = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=math.inf))
     for share, count in ((1.0, 0), (1.001, 1)):
         readings = dataclasses.replace(CALM, pressure_Pa=share * gas.pressure)
@@ -73,7 +72,6 @@ def test_both_sides_of_the_pressure() -> None:
 @pytest.mark.parametrize("angle", [-0.1, 0.1, math.nan])
 def test_both_sides_of_the_force_that_the_pressure_makes_where_the_valve_is(angle: float) -> None:
     gas = HOT.gas
-    assert gas is not None
     force = 2e6 * gas.area(0.0 if math.isnan(angle) else angle)
     readings = dataclasses.replace(
         CALM,

@@ -153,7 +153,6 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
     bench.faults["exchange", INSIDE] = lambda: act(bench)
     folder, _ = tight(bench)
     trip = folder.record.trip
-    assert trip is not None
     assert trip["check"] == check.value
     html = page_of(folder)
     last = last_part(html)
@@ -166,7 +165,6 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
     # The value drawn at the moment of the trip is the one that was judged, and the limit is the one
     # it was judged by.
     tail = Recorded(folder.path, folder.record, 1).traces.tail
-    assert tail is not None
     at = int(np.argmin(np.abs(tail.time - trip["time"])))
     value = abs(float(tail.values[at, NAMES.index(next(iter(panel.channels)))]))
     if check is not Check.DRIVE_STATE:
@@ -296,8 +294,6 @@ def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
     folder, _ = runner(bench)
     found = Recorded(folder.path, folder.record, 1)
     tail, moment = found.traces.tail, found.moment
-    assert moment is not None
-    assert tail is not None
     assert moment.words == "stopped"
     assert moment.time == tail.time[tail.segment == 1][-1]
     assert titles(last_part(page_of(folder)))[0] == "joint angle"
@@ -497,7 +493,6 @@ def attached_limits(bench: str, *warnings: str) -> Limits:
     run = json.dumps({"warnings": warnings}).encode()
     content = load_bench(bench).path.read_bytes()
     found = read_attachments({"bench.yaml": content, "run.json": run}).bench
-    assert found is not None
     return found.limits
 
 
@@ -638,7 +633,6 @@ def test_a_recording_is_reduced_without_the_loss_of_an_extreme(
     )
     start = Happening({"event": "stage start", "time": float(whole["time"][half])})
     traces = _gathered([first, start, second], BENCH, 1e-3)
-    assert traces.reduced is not None
     assert traces.reduced.extremes("current") == (current.min(), current.max())
     assert len(traces.reduced.time) <= 2 * COLUMNS + 3
     assert (np.diff(traces.reduced.time) >= 0.0).all()
@@ -696,7 +690,6 @@ def test_a_limit_is_written_with_what_is_beyond_it_and_drawn_if_it_is_near() -> 
 
 def test_the_limit_of_a_trip_is_drawn_where_no_other_is_known() -> None:
     made = chart(CURRENT, current(0.0, -12.0), [], Tripped(Check.CURRENT, 12.0, 11.0), tall=True)
-    assert made is not None
     assert sorted(limit[0][1] for limit in made.limits) == [-11.0, 11.0]
     assert made.beyond
     pressure = next(panel for panel in PANELS if Check.PRESSURE in panel.checks)

@@ -64,7 +64,6 @@ def test_what_a_drive_does_not_report_is_not_checked_and_all_else_is() -> None:
     open_ended = dataclasses.replace(LIMITS, supply_max=math.inf)
     for supply in (47.9, math.nan):
         trip = check(sample(supply_voltage=supply), 0.0, 0.0, open_ended)
-        assert trip is not None
         assert trip.check is Check.SUPPLY
 
 
@@ -102,7 +101,6 @@ def test_both_sides_of_a_limit(
 ) -> None:
     assert check(sample(**inside), 0.0, 0.0, LIMITS) is None
     trip = check(sample(**outside), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
 
 
@@ -110,7 +108,6 @@ def test_current_limit_below_the_torque_limit() -> None:
     limits = dataclasses.replace(LIMITS, current=10.0)
     assert check(sample(current=10.0), 0.0, 0.0, limits) is None
     trip = check(sample(current=-above(10.0)), 0.0, 0.0, limits)
-    assert trip is not None
     assert (trip.check, trip.limit) == (Check.CURRENT, 10.0)
 
 
@@ -139,7 +136,6 @@ def test_time_under_power() -> None:
     assert check_stage_time(30.0, 30.0, 7.0) is None
     trip = check_stage_time(above(30.0), 30.0, 7.0)
     assert trip == Trip(Check.STAGE_TIME, above(30.0), 30.0, "s", 7.0)
-    assert trip is not None
     assert (
         "time under power in this stage 30 s is beyond its limit 30 s at 7.000 s; " in trip.message
     )
@@ -188,7 +184,6 @@ def test_of_two_broken_limits_the_cause_is_named(
     order: tuple[Check, Check], changes: dict[str, float]
 ) -> None:
     trip = check(sample(**changes), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert trip.check is order[0]
 
 
@@ -221,7 +216,6 @@ def test_both_sides_of_the_gas_limits(
 ) -> None:
     assert check(sample(**inside), 0.0, 0.0, HOT) is None
     trip = check(sample(**outside), 0.0, 0.0, HOT)
-    assert trip is not None
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
     assert trip.unit == {Check.PRESSURE: "Pa", Check.CONTACT_FORCE: "N"}[kind]
     assert trip.value > limit
@@ -231,7 +225,6 @@ def test_both_sides_of_the_gas_limits(
 
 def test_a_transmitter_that_says_nothing_trips() -> None:
     trip = check(sample(pressure=math.nan), 0.0, 0.0, HOT)
-    assert trip is not None
     assert trip.check is Check.PRESSURE
 
 
@@ -239,7 +232,6 @@ def test_a_force_that_is_no_number_trips() -> None:
     assert HOT.gas is not None
     blind = dataclasses.replace(HOT, gas=dataclasses.replace(HOT.gas, area=lambda _angle: math.nan))
     trip = check(sample(pressure=1e6), 0.0, 0.0, blind)
-    assert trip is not None
     assert trip.check is Check.CONTACT_FORCE
 
 
@@ -261,14 +253,12 @@ def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
     assert "its reset was not requested" in latch.trip.message
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
     trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert trip.check is Check.NOT_RESET
     assert latch.trip is trip
     latch.ask()
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is None
     # A closed latch opens again at a reset that nobody asked for.
     opened = latch.reset(sample(), 0.0, 0.0, LIMITS)
-    assert opened is not None
     assert opened.check is Check.NOT_RESET
     # Opened on purpose, it forgets what was asked for before.
     latch.ask()
@@ -292,7 +282,6 @@ def test_reset_needs_good_inputs(
 ) -> None:
     latch = asked()
     assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
-    assert latch.trip is not None
     assert latch.trip.check is why
     # Asking was good for one reset: the next needs another.
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is not None
@@ -307,7 +296,6 @@ def test_the_latch_judges_age_and_lateness(age: float, late: float) -> None:
     latch.reset(sample(), 0.0, 0.0, LIMITS)
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is None
     trip = latch.judge(sample(), age, late, LIMITS)
-    assert trip is not None
     assert trip.check is (Check.SAMPLE_AGE if age else Check.LATENESS)
 
 

@@ -40,7 +40,6 @@ def small(folder: Path, extra: str = "") -> Bench:
 
 def test_a_bench_without_mock_is_simulated_as_the_file_describes_it(tmp_path: Path) -> None:
     mock = small(tmp_path).mock
-    assert mock is not None
     assert mock.motor.gear_ratio == 51
     assert (mock.motor.resistance_ohm, mock.motor.inductance_H) == (0.6, 0.0002)
     assert (mock.joint.moment_arm_m, mock.joint.lever_ratio) == (0.15, 1)
@@ -56,7 +55,6 @@ def test_a_bench_without_mock_is_simulated_as_the_file_describes_it(tmp_path: Pa
 def test_what_the_file_says_of_the_simulated_machine_wins(tmp_path: Path) -> None:
     stated = "mock: {motor: {gear_ratio: 50}, joint: {Mc_N_m: 0.7}, supply_V: 22}\n"
     mock = small(tmp_path, stated).mock
-    assert mock is not None
     assert (mock.motor.gear_ratio, mock.motor.resistance_ohm) == (50, 0.6)
     assert (mock.joint.Mc_N_m, mock.supply_V, mock.loops.voltage_limit_V) == (0.7, 22, 22)
 
@@ -152,7 +150,6 @@ def test_the_paper_s_motor_is_stable_with_a_wide_margin() -> None:
 
 def test_the_words_name_a_gain_that_is_stable() -> None:
     words = unstable_current_loop(machine(WINDING, 5.0))
-    assert words is not None
     assert (
         "with 0.0001 H and 0.6 ohm at 20000 Hz the current loop of the simulated drive is unstable"
         in words

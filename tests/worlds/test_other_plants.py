@@ -33,7 +33,6 @@ def run(plant: str, world: World) -> Signals:
 
 def missing_V(world: World, signals: Signals) -> Array:
     """Return the commanded voltage less that of winding and back-EMF, from the second sample."""
-    assert signals.mean_current is not None
     motor, mean = world.motor, signals.mean_current[1:-1]
     turning = motor.constant * np.gradient(signals.motor_angle, 1.0 / RATE_HZ)[1:-1]
     rising = motor.inductance_H * RATE_HZ * np.diff(signals.current)[1:]

@@ -182,7 +182,6 @@ def test_a_curve_is_over_angle_or_speed_where_it_lowers_the_error_of_other_block
     )
     over_angle = replace(map_over("angle"), against_motion=True)
     drawn = curve_of(dataset, before, [over_angle], 25.0)
-    assert drawn is not None
     assert drawn.value[np.argmin(np.abs(drawn.grid - 0.1))] > 0.5
     carried = scores(dataset, replace(before.model, curve=drawn), 25.0)
     assert (carried.rms("torque", "fit") or 9.0) < 0.9 * (before.rms("torque", "fit") or 0.0)

@@ -66,7 +66,6 @@ def schema_accepts(name: str) -> bool:
 def test_the_small_bench_runs_at_once(drive: str) -> None:
     assert new("bench", "bench.yaml", "--drive", drive, *SMALL) == 0
     mock = load_bench(Path("bench.yaml")).value.mock
-    assert mock is not None
     assert (mock.motor.gear_ratio, mock.supply_V) == (51, 24)
     assert schema_accepts("bench.yaml")
     motion = ("--weights", "2,5", "--amplitude", "15", "--frequency", "0.5", "--duration", "2.2")

@@ -219,7 +219,6 @@ def served(where: Place, *benches: str) -> Iterator[Served]:
         text=True,
     ) as process:
         try:
-            assert process.stdout is not None
             lines = [process.stdout.readline() for _ in range(2)]
             yield Served(where, lines[1].split()[-1], process)
         finally:

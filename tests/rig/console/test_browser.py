@@ -283,8 +283,6 @@ def require_low_bar(page: Page) -> None:
     for width, height in ((360, 640), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
         bar, stop = page.locator("#bar").bounding_box(), page.locator("#stop").bounding_box()
-        assert bar is not None
-        assert stop is not None
         assert bar["height"] <= 0.25 * height
         assert stop["height"] >= 56.0
         assert stop["width"] >= 0.5 * width
@@ -363,7 +361,6 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
         lost.set_viewport_size({"width": width, "height": 844})
         expect(alarm).to_be_in_viewport(ratio=1)
         box = alarm.bounding_box()
-        assert box is not None
         assert box["width"] >= width - 20  # less a scroll bar
     assert alarm.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(179, 0, 30)"
     require_accessible(lost)

@@ -150,7 +150,6 @@ def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(
     resume()
     read_all(run)
     assert (run.events, run.begun, run.continued_s) == (before, begun, [])
-    assert run.record is not None
     assert run.record.state == "done"
 
 
@@ -262,7 +261,6 @@ def test_the_curve_is_that_of_an_identification_of_this_bench(runner: Any, fake_
     }
     (folder.path / RESULT_FILE).write_text(json.dumps(result))
     found = curves(folder.record, folder.path)
-    assert found is not None
     assert [line["mass_kg"] for line in found["lines"]] == [0, 10]
     light, heavy = (np.array(line["torque"]) for line in found["lines"])
     assert np.all(heavy > light)
