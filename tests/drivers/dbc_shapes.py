@@ -1,7 +1,5 @@
 """Random DBC files, and frames read bit by bit by the file's bit numbers, without the codec."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

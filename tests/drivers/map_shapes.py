@@ -1,7 +1,5 @@
 """Random signal maps, refused with their places or held against file and map bit by bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What every servo does step by step; one joins by subclassing and giving ``case``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

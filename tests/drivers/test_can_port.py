@@ -1,7 +1,5 @@
 """The port over python-can: what its interfaces raise, say and do not heed."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

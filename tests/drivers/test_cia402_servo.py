@@ -1,7 +1,5 @@
 """The CiA 402 servo against a channel that notes everything."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import nullcontext

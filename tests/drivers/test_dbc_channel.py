@@ -1,7 +1,5 @@
 """Counters, checksums and freshness, without a bus."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

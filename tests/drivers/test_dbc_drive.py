@@ -1,7 +1,5 @@
 """The simulated drive: its frames against ``cantools``, its states against its table."""
 
-from __future__ import annotations
-
 import cantools.database
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """29-bit identifiers, pages of a message, remote frames, drives that report less."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque

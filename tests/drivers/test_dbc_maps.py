@@ -1,7 +1,5 @@
 """Checksums and values of signals, and orders in any sequence, against cantools."""
 
-from __future__ import annotations
-
 import tempfile
 from functools import cache
 from pathlib import Path

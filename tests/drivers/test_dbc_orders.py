@@ -1,7 +1,5 @@
 """Who wins over the target, what goes once, what is a fault."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Behaviour of the simulated drive that the safety of a bench leans on."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """EDS files as people have them: missing, damaged, of another device."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

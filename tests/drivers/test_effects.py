@@ -1,7 +1,5 @@
 """What the machine can hide, against closed forms; the plants are compared in ``tests/worlds``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Heartbeats, node guarding and life guarding: how drive and program detect a lost partner."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every fault of wire, sensor and drive does what its name says."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Homing of CiA 402 drives: what is offered, what is sent, and how the power goes off."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

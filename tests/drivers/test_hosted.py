@@ -1,7 +1,5 @@
 """Anybody's machine behind the simulated drive: against the own plant, its limits, its errors."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Drives and encoders that have, keep or refuse what CiA leaves to their makers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

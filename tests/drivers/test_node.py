@@ -1,7 +1,5 @@
 """NMT, heartbeats, EMCY and process data of the simulated devices, on the wire."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -1,7 +1,5 @@
 """Torques of a user's file in the simulated machine."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from pathlib import Path

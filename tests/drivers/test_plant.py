@@ -1,7 +1,5 @@
 """The true machine against closed forms: friction, motor, motion under the loops, sensing."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The position loop of the host, as a pure function."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Devices asked for what they are and show, unprepared."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """The SDO server against hand-made frames, and against canopen's client through the link."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

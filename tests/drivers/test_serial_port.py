@@ -1,7 +1,5 @@
 """Real serial lines that go wrong: hung up, stalled, held by another program."""
 
-from __future__ import annotations
-
 import os
 import select
 import time

@@ -1,7 +1,5 @@
 """The LAWICEL protocol: its decoder against anything, and the port behind a bad line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The simulated drives of each make, driven by the master of the library ``canopen``."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

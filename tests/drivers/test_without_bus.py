@@ -1,7 +1,5 @@
 """The recording without the bus: the same samples as over the bus, for the same seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """XDD files (CiA 311) describe a device as an EDS file does, and are read safely."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Recordings with known parameters, written from eq. 15 without the package's own friction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One choice of bandwidth and recordings, and the better of angle and velocity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

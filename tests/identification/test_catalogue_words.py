@@ -2,8 +2,6 @@
 exist.
 """
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 from string import Formatter

@@ -2,8 +2,6 @@
 regressors and back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

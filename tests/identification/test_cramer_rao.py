@@ -1,7 +1,5 @@
 """The Cramer-Rao floor on data of the fitted model itself, and scores that scatter."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

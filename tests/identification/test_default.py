@@ -1,7 +1,5 @@
 """The default method from end to end: recovery, refusals, lost samples, pieces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a planned experiment pins, and the search for a better one."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

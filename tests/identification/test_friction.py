@@ -1,7 +1,5 @@
 """The friction law and eq. 14: right where motion is uniform, known to be wrong elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The genetic algorithm, judged on functions whose minimum is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The prediction-error filter against an independent Kalman filter, and where a recording moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compiled kernels: their store on disk, the second thread, the exponential."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import logging

@@ -1,7 +1,5 @@
 """Damped searches, linear problems within bounds, and a Jacobian kept as an arrow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The library as its users import it: data in, results out, nothing else loaded or printed."""
 
-from __future__ import annotations
-
 import doctest
 import json
 import math

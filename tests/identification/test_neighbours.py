@@ -1,7 +1,5 @@
 """The loaded stage's search goes on from far from and near to the best end of its starts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

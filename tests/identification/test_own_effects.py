@@ -1,7 +1,5 @@
 """Effects of one's own: what a definition finds out, what is wrong with one, and its responses."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

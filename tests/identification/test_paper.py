@@ -1,7 +1,5 @@
 """The paper's staged method, its optimiser, and the comparison of estimators."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

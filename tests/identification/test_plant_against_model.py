@@ -4,8 +4,6 @@ case.
 And, with more room, on what the gas generator may hide.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

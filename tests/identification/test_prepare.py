@@ -1,7 +1,5 @@
 """The equation-error view of a recording: alignment, torque sources, rests, one filter for all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """By how much the likelihood is off and how sure an estimate is, by replicates of the recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """The forward simulation, and loads that pull the same way at every angle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -2,8 +2,6 @@
 ranked on another mass.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Intervals, likelihood profiles, bootstrap and trade-offs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

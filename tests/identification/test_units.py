@@ -1,7 +1,5 @@
 """Units of rotary and linear benches, and the names that text shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

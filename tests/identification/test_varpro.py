@@ -1,7 +1,5 @@
 """Both stages by variable projection, on noise-free data with known parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

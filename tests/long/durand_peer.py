@@ -11,8 +11,6 @@ succeeds, the drive ends without power, and it was in fault only in the step of 
 that provokes a fault.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Faults of a run over CANopen, and what must come of each in each phase."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ Only the steps up to the homing are done; its time, messages, protocol and recor
 the command. Times are simulated; "off" is when the simulated power stage went off for good.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Faults of an EPOS4 on a serial line with an AMT21 encoder, where they differ from CANopen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ simulated; "off" is when the simulated power stage went off for good, if no curr
 simulated motor and the joint rests at the end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

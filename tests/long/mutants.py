@@ -3,8 +3,6 @@
 What lives on is printed; it is either missing from the tests or argued in :data:`ARGUED`.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

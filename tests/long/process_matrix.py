@@ -6,8 +6,6 @@ tables to out/process_matrix.md. `--only WORDS`, names of columns, transports or
 separated by commas, runs the cells that match all names and prints the result only.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """Draws simulated benches, right ones and such with a mistake in units, signs or constants."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Variants of packaged bench files, and short sequences, for tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig.config.configuration import resolve

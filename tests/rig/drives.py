@@ -1,7 +1,5 @@
 """A drive for tests of what is done with one: it reports off, without current or motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -5,8 +5,6 @@ It lives in a process of its own, writes its paths as JSON in one line, then ans
 its input with how many bytes it has been sent.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Limits of acceptance: what is refused early, what is judged, and what is written of it."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Clocks on one time base, stamps that jitter, and values that cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

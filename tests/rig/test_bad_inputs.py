@@ -1,7 +1,5 @@
 """Every command with every kind of file that it cannot use: a message, status 2, nothing else."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

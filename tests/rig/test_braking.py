@@ -1,7 +1,5 @@
 """The braking: whatever is lost, cycles go on, and the drive ends its ramp."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import itertools

@@ -1,7 +1,5 @@
 """Campaigns that say when recordings were made, which part counts, and what hangs on the joint."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The packaged benches of ODrive's protocol and of MIT-style motors."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

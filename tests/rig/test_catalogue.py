@@ -1,7 +1,5 @@
 """Run folders as they are listed, and the index that only saves time."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import zlib

@@ -1,7 +1,5 @@
 """A proof is the same bytes from one process and from workers, of which one is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """``rig commission``: step by step, at low limits."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

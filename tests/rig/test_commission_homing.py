@@ -1,7 +1,5 @@
 """``rig commission --home``: the drive sets its zero by its own homing, or ends de-energised."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The program itself breaks down: words, a traceback file, status 5."""
 
-from __future__ import annotations
-
 import errno
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """The control cycle by itself: what goes out, what is recorded, what is judged, and when."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any

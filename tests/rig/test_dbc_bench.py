@@ -1,7 +1,5 @@
 """A bench whose drive speaks its own CAN frames, from its file to a finished run."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

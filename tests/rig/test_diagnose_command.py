@@ -1,7 +1,5 @@
 """``rig diagnose`` and ``rig effects`` as a user runs them, on hand-made diagnoses."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

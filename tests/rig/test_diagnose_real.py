@@ -1,7 +1,5 @@
 """The diagnosis on recordings of real machines, held against what their owners know."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

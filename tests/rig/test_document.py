@@ -1,7 +1,5 @@
 """A document on the terminal, as a page, and on the disk."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bench's limits beside the drive's own."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """`rig run --dry-run`: what it predicts, from which values, and with which exit status it ends."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Fault schedules: read with every error at its place, brought about on a run, and judged."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import time

@@ -1,7 +1,5 @@
 """Friction feed-forward: what is sent in which cycle, what is refused, what it does to a run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

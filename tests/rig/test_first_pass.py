@@ -1,7 +1,5 @@
 """The pass at low amplitude: what is planned, and what is allowed meanwhile."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

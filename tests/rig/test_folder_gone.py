@@ -1,7 +1,5 @@
 """The folder of a run that is deleted, moved or out of space: noticed, safe, and rightly worded."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

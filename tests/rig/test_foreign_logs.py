@@ -1,7 +1,5 @@
 """Logs as other people's tools write them, and broken ones: read with a word, or refused."""
 
-from __future__ import annotations
-
 import gzip
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Campaigns of pressure and valve angle, and what `rig diagnose` makes of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What an operator is told to do after a run that is not done, and that the command does go on."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The guarded side: feeding, a takeover, and a guardian that is gone."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """The guardian of a drive without a watchdog: what it hears, what it does, what it writes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

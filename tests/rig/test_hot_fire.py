@@ -1,7 +1,5 @@
 """Hot firings: planned, refused, run in the open and the closed loop, tripped, read back."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Real recordings through the whole of identification, against published values."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

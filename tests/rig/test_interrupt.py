@@ -1,7 +1,5 @@
 """Ctrl-C on a real process in every phase of a run."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """``rig jog``: slow, tightly limited, de-energised before and after."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal

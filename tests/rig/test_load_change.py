@@ -1,7 +1,5 @@
 """A load that changes within a stage is noticed; a bench that merely drifts is not accused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One owner: locks of benches and run folders, held by real processes that end in every way."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

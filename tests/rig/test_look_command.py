@@ -1,7 +1,5 @@
 """``rig look``: what is in a log, and a first campaign file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A simulated bench made from a result reproduces the recording that the result describes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``rig model``: the model of a result in other tools computes what the program does."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

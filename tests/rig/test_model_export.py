@@ -1,7 +1,5 @@
 """The exported model: a file that stands alone and computes what this program computes."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import subprocess

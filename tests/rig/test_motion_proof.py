@@ -1,7 +1,5 @@
 """Units, signs, ratio and torque constant from the samples of a motion."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Off is proved by state, current and motion, on every transport and wherever off is said."""
 
-from __future__ import annotations
-
 import json
 import math
 import random

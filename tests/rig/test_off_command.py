@@ -1,7 +1,5 @@
 """`rig off`: who is ended and how, and what comes of a drive that answers or does not."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

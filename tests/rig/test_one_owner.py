@@ -1,7 +1,5 @@
 """Two programs on one bench and on one run folder, as users start them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Options and numbers of files: judged before anything is done, completed by the shell."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Standard streams that are full, gone or closed: the work is done, its files are written."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """Effects of one's own from the command line: check, diagnosis, export, simulation, injection."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

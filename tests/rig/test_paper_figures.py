@@ -1,7 +1,5 @@
 """The paper's figures and tables, done again: each says what the numbers of its file say."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

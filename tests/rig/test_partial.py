@@ -1,7 +1,5 @@
 """What was recorded of a run that stopped, exported and identified when asked for."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A bench file with a machine of one's own: what a run with it does, records and refuses."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

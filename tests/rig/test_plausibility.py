@@ -1,7 +1,5 @@
 """Machine constants that no bench has are refused, and those that few have are warned of."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

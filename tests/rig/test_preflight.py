@@ -1,7 +1,5 @@
 """What a run refuses, `rig check` and `rig run --dry-run` report in the same words."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from collections.abc import Callable

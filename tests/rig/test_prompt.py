@@ -1,7 +1,5 @@
 """Prompts: what was typed before the question does not answer it."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal

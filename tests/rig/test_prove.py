@@ -1,7 +1,5 @@
 """The proof's machinery, with made-up diagnoses: sealed before, opened after, scored."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Campaigns sealed by someone else: plain files in, all diagnosed before any truth is opened."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

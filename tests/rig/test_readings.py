@@ -1,7 +1,5 @@
 """Live readings of `rig check`: what is shown, and which end a run as soon as it begins."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Benches whose drive has only the objects of a maker's EDS file, from check to a finished run."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The recording: exact round trip, read by the MCAP library, robust to being cut off anywhere."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal

@@ -2,8 +2,6 @@
 any reader takes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """``rig resume``: into the same folder, at the first unfinished stage."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """``rig run``, ``check``, ``export`` and ``recover`` as a user runs them, on the simulated bus."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """``run.json`` as people edit it and older programs wrote it, and the inputs that it names."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The samples of a run in a stream, drift and gaps, and what a run says of its punctuality."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 

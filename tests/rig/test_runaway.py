@@ -1,7 +1,5 @@
 """A joint that runs away is cut, not braked: true peak and travel of the simulated machine."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Both sides of every limit, and a latch that only a good sample and a reset can close."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The screen: nothing that a terminal or pipe does can hold it up."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import struct

@@ -1,7 +1,5 @@
 """The experiment that splits an alias group stays within the bench and runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Bench and sequence files: what they command, and every way of asking for too much."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sequencer against fakes: every way out leaves the drive verified off and a readable log."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import itertools

@@ -1,7 +1,5 @@
 """``rig simulate``, ``rig identify --ladder`` and ``--score`` as a user runs them."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The simulated machine of a bench file follows the bench; its current loop is judged."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns on synthetic files: what is mended and noted, what is refused and where."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path

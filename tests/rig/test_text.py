@@ -1,7 +1,5 @@
 """Text of every language in every locale; files arrive whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

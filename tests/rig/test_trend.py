@@ -1,7 +1,5 @@
 """Constants of several runs: which moved between two, and which drift over a history."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

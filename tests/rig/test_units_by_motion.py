@@ -2,8 +2,6 @@
 runs. ``make units`` tries three hundred.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an operator can ask for: pause, go on, repeat, abort; typed at the prompt, or by signal."""
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Iterator

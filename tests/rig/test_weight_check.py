@@ -1,7 +1,5 @@
 """The weight check: friction against the confirmed mass."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Sequence

@@ -2,8 +2,6 @@
 are sealed and readable.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path

@@ -4,8 +4,6 @@ The voltage that the own plant's drive asks for is given to the third plant's ma
 machines have the same input whatever their drives do. MuJoCo's machine is in the first tests alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every effect is one class, whose words, parameters and regressors agree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

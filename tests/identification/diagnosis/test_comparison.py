@@ -1,7 +1,5 @@
 """How two fits are compared, what they cannot distinguish, and sizes that follow the machine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Hidden physics is found, named and sized; where there is none, none is found."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The gas generator diagnosed: what is hidden gets its name and size, what is not gets none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Names whose fit is no model, or that do not pay on recordings set aside, are no diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from types import SimpleNamespace

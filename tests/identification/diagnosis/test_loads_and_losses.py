@@ -2,8 +2,6 @@
 its size where it is hidden, and shares a group with what these recordings cannot distinguish.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

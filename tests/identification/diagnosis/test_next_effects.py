@@ -2,8 +2,6 @@
 more sharply.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What recordings can show, what the baselines see, and what is wrong in one recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """What fits, and is the pattern of something else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

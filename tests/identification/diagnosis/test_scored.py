@@ -1,7 +1,5 @@
 """The reported constants and errors are those of the exported model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

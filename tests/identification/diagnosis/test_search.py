@@ -1,7 +1,5 @@
 """How effects are searched, added and kept; a gap and a loop are told apart by their crossing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Fits within their limits, and what is within the noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """``rig new``: what it writes is valid, explained and run at once; guesses of columns."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """The JSON Schemas accept what the program accepts, and refuse what an editor can know."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from functools import cache

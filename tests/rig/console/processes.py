@@ -1,7 +1,5 @@
 """The console and runs in processes of their own, with a folder of control sockets of their own."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os

@@ -1,7 +1,5 @@
 """The page in a real Chromium, on runs of the simulated bench in real time."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

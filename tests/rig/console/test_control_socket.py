@@ -2,8 +2,6 @@
 prompts, nothing that blocks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import os

@@ -2,8 +2,6 @@
 against speed; also of a run that was stopped and continued.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 comparisons and trends of the runs of its list.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """Who may read and who may command: host, origin, token, method and number of every request."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket

@@ -1,7 +1,5 @@
 """Exports read back by one entry of a campaign: the same recordings, to the last bit."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Raw frames of a run read back by the readers of python-can and ROS: bit for bit."""
 
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path

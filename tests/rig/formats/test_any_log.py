@@ -1,7 +1,5 @@
 """Random and damaged logs of every format, and the second process that reads them."""
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

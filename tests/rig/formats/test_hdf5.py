@@ -1,7 +1,5 @@
 """HDF5, MATLAB v7.3, JSON and arrays of numpy: to the last bit, or refused in words."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

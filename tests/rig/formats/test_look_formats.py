@@ -1,7 +1,5 @@
 """``rig look`` on every format: columns, clock, doubts, and a first campaign file that loads."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

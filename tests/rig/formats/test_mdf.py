@@ -1,7 +1,5 @@
 """MDF by asammdf and TDMS by npTDMS: numbers to the last bit, or refused in words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 disk, and what a kill at any moment leaves.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict, dataclass, field

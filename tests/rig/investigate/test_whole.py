@@ -1,7 +1,5 @@
 """Whole investigations on the simulated bench, minutes each."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -3,8 +3,6 @@ every value to the last bit, while the recording grows and when it is complete. 
 a shell starts it, and the layouts that it names.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math
