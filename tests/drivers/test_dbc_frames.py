@@ -265,9 +265,7 @@ def test_a_position_that_wraps_is_followed_over_the_jump(tmp_path: Path) -> None
     link.close()
 
 
-def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
-    tmp_path: Path,
-) -> None:
+def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(tmp_path):
     text = MOTOR + (
         '\nBO_ 5 Limits: 8 A\n SG_ Speed : 0|32@1- (1,0) [0|0] "rad/s" B\n'
         ' SG_ Current : 32|32@1+ (0.5,0) [0|0] "A" B\n\nSIG_VALTYPE_ 5 Speed : 1;\n'

@@ -112,9 +112,7 @@ def test_a_stop_frame_in_the_message_of_the_commands_keeps_its_counter(tmp_path:
         (99, 7, S.FAULT_REACTION),
     ],
 )
-def test_a_fault_code_is_a_fault_whatever_the_state_says(
-    tmp_path: Path, state: int, code: int, shown: ServoState | None
-) -> None:
+def test_a_fault_code_is_a_fault_whatever_the_state_says(tmp_path, state, code, shown):
     channel = DbcChannel(wired(tmp_path), "the motor")
     hear(channel, 2, bytes([state, 0, 0, 0, 0, 0]))
     hear(channel, 4, code.to_bytes(2, "little"))

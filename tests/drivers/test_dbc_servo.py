@@ -403,9 +403,7 @@ def test_a_fault_while_running_is_raised_once(host: DbcHost) -> None:
         ((" 400 ", " 1919 "), "CANopen node 127"),
     ],
 )
-def test_identifiers_may_not_collide(
-    host: DbcHost, tmp_path, change: tuple[str, str], owner: str
-) -> None:
+def test_identifiers_may_not_collide(host, tmp_path, change, owner):
     path = tmp_path / "moved.dbc"
     path.write_text(DRIVE_DBC.read_text().replace(*change))
     link = DbcLink(host.clock, lambda: host.bench.bus, "simulated bus")

@@ -253,9 +253,7 @@ def test_nothing_is_continued_from_before_an_incomplete_cycle(host: SerialHost) 
     ("verb", "state"),
     [("quick_stop", State.QUICK_STOP_ACTIVE), ("disable", State.SWITCH_ON_DISABLED)],
 )
-def test_a_stop_is_said_even_where_nobody_is_heard(
-    host: SerialHost, verb: str, state: State
-) -> None:
+def test_a_stop_is_said_even_where_nobody_is_heard(host, verb, state):
     enabled(host).cycles(5)
     host.line.filters.append(lambda _now, data, from_host: data if from_host else b"")
     host.cycles(1)
@@ -279,9 +277,7 @@ def test_nothing_else_is_said_where_nobody_is_heard(host: SerialHost) -> None:
     assert [frame.opcode for frame in frames].count(Opcode.WRITE_OBJECT) <= 1
 
 
-def test_a_drive_whose_preparation_failed_midway_cannot_be_sampled(
-    host: SerialHost, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_whose_preparation_failed_midway_cannot_be_sampled(host, monkeypatch):
     """A run samples the drive while it brakes, whatever ended the preparation."""
     node, asked = host.servo._channel, count()
     real = node._input  # type: ignore[attr-defined]
@@ -299,9 +295,7 @@ def test_a_drive_whose_preparation_failed_midway_cannot_be_sampled(
         host.servo.sample()
 
 
-def test_a_lost_port_is_opened_again_and_the_guard_is_told_meanwhile(
-    host: SerialHost, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_port_is_opened_again_and_the_guard_is_told_meanwhile(host, monkeypatch):
     link, servo, line = host.epos, enabled(host).servo, host.line
     back: list[object] = []
 
@@ -381,9 +375,7 @@ def test_frames_survive_any_cutting(sent: list[Frame], data: st.DataObject) -> N
 
 @settings(max_examples=50)
 @given(st.one_of(st.binary(max_size=40), doubled), frames)
-def test_a_frame_behind_garbage_is_found_at_the_latest_after_another(
-    garbage: bytes, frame: Frame
-) -> None:
+def test_a_frame_behind_garbage_is_found_at_the_latest_after_another(garbage, frame):
     decoder = FrameDecoder()
     decoder.feed(garbage)
     # What looks like the start of a long frame may swallow the next one or two, no more than its

@@ -171,9 +171,7 @@ def test_all_refusals_of_a_drive_are_yielded() -> None:
 @pytest.mark.parametrize(
     ("torque", "accepted"), [(0.4510, True), (0.4511, False), (0.4490, True), (0.4489, False)]
 )
-def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(
-    torque: float, accepted: bool
-) -> None:
+def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(torque, accepted):
     host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
     assert (not list(host.servo.problems(0.001))) is accepted
 
@@ -235,9 +233,7 @@ def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> N
         ("quick_stop_deceleration_rad_s2", 1e7, "servo.quick_stop_deceleration_deg_s2"),
     ],
 )
-def test_a_limit_that_does_not_fit_names_its_key(
-    field: str, value: float, key: str, sign: int
-) -> None:
+def test_a_limit_that_does_not_fit_names_its_key(field, value, key, sign):
     """A wrong ratio or unit shows up as such a limit: the message states limit, range, keys."""
     host = make_host(scales=dataclasses.replace(SCALES, sign=sign))
     limits = dataclasses.replace(LIMITS, **{field: value})

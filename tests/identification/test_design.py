@@ -193,9 +193,7 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
 
 @pytest.mark.proof
 @pytest.mark.usefixtures("few")
-def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch):
     stages = frames((0.0,))
     found = propose(stages, nominal(), BOUNDS, np.random.default_rng(1), weakest="J")
     assert found.stages != (Part(0, stages[0].present),)

@@ -42,9 +42,7 @@ def sure(speed: float, moment: float, gear: float, p: np.ndarray) -> tuple[float
 @pytest.mark.parametrize("alpha", [0.7, 2.0])
 @pytest.mark.parametrize("moment", [0.0, 40.0])
 @pytest.mark.parametrize("gear", [0.0, 3.0])
-def test_scalar_and_broadcasting_laws_are_the_same(
-    alpha: float, moment: float, gear: float
-) -> None:
+def test_scalar_and_broadcasting_laws_are_the_same(alpha, moment, gear):
     p = pack({**TRUTH, **GEAR}, alpha)
     speeds = np.geomspace(1e-6, 2.0, 40)
     bracket = {

@@ -69,9 +69,7 @@ def test_a_burn_under_a_swinging_valve(equation: int) -> None:
         ("leakage", {"area_m2": (kernel.LEAK, 2e-5)}, 2e-4),
     ],
 )
-def test_what_the_gas_generator_hides(
-    name: str, sizes: dict[str, tuple[int, float]], within: float
-) -> None:
+def test_what_the_gas_generator_hides(name, sizes, within):
     g = GasGenerator()
     plant = Machine(effects={name: {key: size for key, (_, size) in sizes.items()}})
     true = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT)), SWING, 0.005, steps=20)

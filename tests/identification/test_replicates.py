@@ -31,7 +31,7 @@ from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
-from identification.recording import Array, Model, Recording
+from identification.recording import Model, Recording
 from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
@@ -209,9 +209,7 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
 )
-def test_the_mean_of_two_equations_has_no_more_variance_than_either(
-    one: Array, other: Array
-) -> None:
+def test_the_mean_of_two_equations_has_no_more_variance_than_either(one, other):
     found = least_variance(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
@@ -219,9 +217,7 @@ def test_the_mean_of_two_equations_has_no_more_variance_than_either(
         assert found.influence == pytest.approx(one)
 
 
-def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow() -> (
-    None
-):
+def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow():
     point = at(STICKY, [beginning(r, 12.0) for r in sticky(0)[:1]], SYSTEM)
     bias = likelihood_bias(point, SYSTEM, chance(), ReplicateSettings(turns=1))
     assert len({r.noise for r in bias.replicates}) >= 3

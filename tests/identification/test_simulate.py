@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -205,9 +204,7 @@ def test_a_predicted_torque_leaves_known_loads_to_themselves(pendulum: Pendulum 
     assert abs(np.mean(predicted.error)) < 0.01
 
 
-def test_the_likelihood_takes_the_hoisted_mass(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_the_likelihood_takes_the_hoisted_mass(practical_pair):
     bare = motion(practical_pair[0])
     hung = motion(replace(practical_pair[0], hoist=Hoist(2.0, 0.3), constant_torque=0.5))
     assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
@@ -225,9 +222,7 @@ def test_the_likelihood_takes_the_hoisted_mass(
         ({"hoist": Hoist(3.0), "constant_torque": 3.0 * G}, False),
     ],
 )
-def test_friction_may_grow_with_any_torque_that_the_joint_bears(
-    load: dict[str, Any], borne: bool
-) -> None:
+def test_friction_may_grow_with_any_torque_that_the_joint_bears(load, borne):
     here, joint = views_and_fit(Dataset((replace(sine(), **load),), Model()), 25.0)
     term = next(t for t in MOTION if t.name == "load_dependent_friction")
     assert bool(term.shapes(Context(here, joint.nominal))) is borne
@@ -272,9 +267,7 @@ def recorded(loop: Loop, late: int = 1, noise: float = 0.06, seed: int = 0) -> R
 @pytest.mark.parametrize(
     ("velocity", "position", "integral"), [(120.0, 60.0, 60.0), (60.0, 25.0, 50.0)]
 )
-def test_the_gains_are_those_of_the_drive(
-    velocity: float, position: float, integral: float
-) -> None:
+def test_the_gains_are_those_of_the_drive(velocity, position, integral):
     found = drive_loop(
         [recorded(Loop(position, velocity, integral, 400.0, 75.0, STEP))], 75.0, STEP
     )

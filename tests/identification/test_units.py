@@ -42,9 +42,7 @@ def test_a_unit_on_a_linear_bench(unit: str, linear: str, amperes: str) -> None:
         (("voltage",), "linear", "voltage", "A"),
     ],
 )
-def test_the_logged_quantity_is_named(
-    channels: tuple[str, ...], motion: str, word: str, unit: str
-) -> None:
+def test_the_logged_quantity_is_named(channels, motion, word, unit):
     time = np.arange(4) * 1e-3
     recording = Recording(
         time, time, channels=dict.fromkeys(channels, time), bench=Bench(motion=motion)

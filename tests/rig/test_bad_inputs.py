@@ -169,9 +169,7 @@ def result() -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("command", "kind"), PAIRS)
-def test_a_file_that_cannot_be_used_is_bad_input(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, kind: str
-) -> None:
+def test_a_file_that_cannot_be_used_is_bad_input(place, capsys, command, kind):
     example = place / COMMANDS[command][0]
     name = f"bad{example.suffix}"
     KINDS[kind](place / name, example.read_bytes())
@@ -182,9 +180,7 @@ def test_a_file_that_cannot_be_used_is_bad_input(
 
 
 @pytest.mark.parametrize("command", READERS)
-def test_a_file_in_a_folder_that_may_not_be_searched(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_a_file_in_a_folder_that_may_not_be_searched(place, capsys, command):
     example = COMMANDS[command][0]
     folder = place / "locked"
     folder.mkdir()
@@ -198,17 +194,13 @@ def test_a_file_in_a_folder_that_may_not_be_searched(
     "name", ["x" * 300 + ".yaml", "campaign.yaml/inside.yaml"], ids=["too long", "through a file"]
 )
 @pytest.mark.parametrize("command", READERS)
-def test_a_name_that_no_file_can_have(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
-) -> None:
+def test_a_name_that_no_file_can_have(place, capsys, command, name):
     assert call(arguments(command, name)) == BAD_INPUT
     assert_in_words(capsys.readouterr().err, place)
 
 
 @pytest.mark.parametrize("command", ["export", "recover", "resume"])
-def test_a_run_folder_that_may_not_be_read(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_a_run_folder_that_may_not_be_read(place, capsys, command):
     (place / "run").chmod(0)
     # What works on the folder locks it first, and that is a failure of storage.
     locks = command in ("recover", "resume")
@@ -222,9 +214,7 @@ def test_a_run_folder_that_may_not_be_read(
     ("command", "file", "kind"),
     half(("export", "recover", "resume"), ("run.json", "recording.mcap"), KINDS),
 )
-def test_a_run_folder_with_a_damaged_file(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, file: str, kind: str
-) -> None:
+def test_a_run_folder_with_a_damaged_file(place, capsys, command, file, kind):
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
     KINDS[kind](place / "run" / file, content)
@@ -238,9 +228,7 @@ def test_a_run_folder_with_a_damaged_file(
 @pytest.mark.parametrize(
     ("ending", "kind"), half(("csv", "csv.gz", "npz", "mat", "parquet"), KINDS)
 )
-def test_a_recording_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], ending: str, kind: str
-) -> None:
+def test_a_recording_that_cannot_be_used(place, capsys, ending, kind):
     KINDS[kind](place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
     # Half a table is a table, and a degree sign of a vendor in a comment does no harm.
@@ -261,9 +249,7 @@ DEVICE_FILES = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("device_file", "command"), [("eds", "run --bench"), ("dbc", "check")])
-def test_a_device_file_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], device_file: str, command: str, kind: str
-) -> None:
+def test_a_device_file_that_cannot_be_used(place, capsys, device_file, command, kind):
     name, old, new, good = DEVICE_FILES[device_file]
     KINDS[kind](place / f"bad.{device_file}", good.read_bytes())
     bench = resolve(name, "benches").read_text(encoding="utf-8")
@@ -290,9 +276,7 @@ PLACES: Mapping[str, tuple[str, ...]] = {
 @pytest.mark.parametrize(
     ("command", "key"), [(command, key) for command, keys in PLACES.items() for key in keys]
 )
-def test_numbers_that_no_bench_has(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
-) -> None:
+def test_numbers_that_no_bench_has(place, capsys, command, key, number):
     example = COMMANDS[command][0]
     before, found, after = (place / example).read_text(encoding="utf-8").partition(key)
     assert found, f"{key} is not in the example"
@@ -317,9 +301,7 @@ def test_numbers_that_no_bench_has(
         ("identify --nominal", "value"),
     ],
 )
-def test_results_with_numbers_that_none_has(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
-) -> None:
+def test_results_with_numbers_that_none_has(place, capsys, command, key, number):
     raw = json.dumps(result(), indent=1)
     before, found, after = raw.partition(f'"{key}": ')
     rest = after.lstrip("-+.0123456789e")

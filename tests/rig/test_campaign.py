@@ -177,9 +177,7 @@ def test_cross_checks(tmp_path: Path, old: str, new: str, place: str | None, exp
         (f"{FILE}\n    gravity: {{mass: 1, length: 1}}", "bench: {", LINEAR, "5:14: "),
     ],
 )
-def test_loads_that_the_bench_does_not_fit(
-    tmp_path: Path, more: str, old: str, new: str, expected: str
-) -> None:
+def test_loads_that_the_bench_does_not_fit(tmp_path, more, old, new, expected):
     (line,) = problems(tmp_path, SHORT.replace(FILE, more).replace(old, new))
     assert line.startswith(expected)
 

@@ -41,9 +41,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.proof
 @pytest.mark.usefixtures("quick")
-def test_the_same_bytes_from_a_cluster_of_which_a_worker_is_killed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_bytes_from_a_cluster_of_which_a_worker_is_killed(tmp_path, monkeypatch):
     options = ["prove", "--seed", "3", "--rigs", "3", "--keep"]
     monkeypatch.chdir(tmp_path)
     assert status([*options, "--out", "proof"]) == 0
@@ -161,15 +159,11 @@ def test_a_worker_with_other_packages_is_refused() -> None:
     ("address", "open_"),
     [("tls://10.0.0.5:8786", False), ("bench.example:8786", True), ("tcp://[::1]:8786", False)],
 )
-def test_a_scheduler_that_others_can_reach_without_keys_is_warned_of(
-    address: str, open_: bool
-) -> None:
+def test_a_scheduler_that_others_can_reach_without_keys_is_warned_of(address, open_):
     assert cluster.unprotected(address) is open_
 
 
-def test_one_engine_at_a_time_and_what_to_install_for_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_engine_at_a_time_and_what_to_install_for_it(tmp_path, monkeypatch, capsys):
     out = ["--out", str(tmp_path / "proof")]
     assert status(["prove", "--jobs", "2", "--cluster", "2", *out]) == 2
     assert "give only one of these options" in capsys.readouterr().err

@@ -70,9 +70,7 @@ def effects_raise(monkeypatch: pytest.MonkeyPatch) -> Raise:
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_what_is_not_foreseen_ends_in_words(
-    effects_raise: Raise, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException
-) -> None:
+def test_what_is_not_foreseen_ends_in_words(effects_raise, tmp_path, capsys, error):
     effects_raise(error)
     note_drive(error, OFF)
     assert status(["effects"]) == CRASHED == 5
@@ -155,9 +153,7 @@ def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:
     assert len(list(run.glob("crash-*.txt"))) == 1
 
 
-def test_where_the_folder_takes_no_file_another_place_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_folder_takes_no_file_another_place_does(tmp_path, monkeypatch):
     place, touch = tmp_path / "temporary", Path.touch
     place.mkdir()
 

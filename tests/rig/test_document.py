@@ -86,9 +86,7 @@ def test_pictures_are_files_beside_the_page_wherever_they_stand(tmp_path: Path) 
     assert (tmp_path / "new/page.html").read_text() == page(document)
 
 
-def test_a_full_disk_is_said_with_the_places(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_said_with_the_places(tmp_path, monkeypatch):
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -5,7 +5,6 @@ import importlib
 import json
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -71,9 +70,7 @@ HEAD = "t,i,m,q\n"
         ),
     ],
 )
-def test_what_a_text_file_is_comes_out_and_is_said(
-    tmp_path: Path, text: str | bytes, note: str | None
-) -> None:
+def test_what_a_text_file_is_comes_out_and_is_said(tmp_path, text, note):
     recording = load(tmp_path, text)
     is_truth(recording)
     assert [n for n in recording.notes if note and note in n] or note is None
@@ -193,9 +190,7 @@ def load_turning(folder: Path, values: np.ndarray, key: str = "") -> Recording:
     ("turn", "zero", "per_turn"),
     [(t, 0.5 * (k % 2), (0.7, 6.3, 55.0)[k % 3]) for k, t in enumerate(TURNS)],
 )
-def test_an_angle_that_starts_again_is_asked_for_and_continued(
-    tmp_path: Path, turn: float, zero: float, per_turn: float
-) -> None:
+def test_an_angle_that_starts_again_is_asked_for_and_continued(tmp_path, turn, zero, per_turn):
     values = turning(turn, zero, per_turn)
     with pytest.raises(InputError, match="it starts again after a turn; state the turn") as refused:
         load_turning(tmp_path, values)
@@ -216,9 +211,7 @@ def test_an_angle_that_starts_again_is_asked_for_and_continued(
     seed=st.integers(0, 99),
 )
 @settings(max_examples=60)
-def test_any_turn_is_found_at_its_jumps(
-    turn: float, zero: float, swing: float, scatter: float, seed: int
-) -> None:
+def test_any_turn_is_found_at_its_jumps(turn, zero, swing, scatter, seed):
     noise = scatter * np.random.default_rng(seed).standard_normal(len(LONG))
     stored = turning(turn, zero, swing, noise)[:, 2]
     found = starts_again(stored)
@@ -297,9 +290,7 @@ def test_a_magnitude_with_noise_below_zero_is_recognised(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("unit", "scale", "rate"), [("ms", 1e-3, 100.0), ("us", 1e-6, 400.0), ("ns", 1e-9, 1000.0)]
 )
-def test_seconds_in_another_unit_are_doubted_with_the_scale(
-    tmp_path: Path, unit: str, scale: float, rate: float
-) -> None:
+def test_seconds_in_another_unit_are_doubted_with_the_scale(tmp_path, unit, scale, rate):
     values = TRUTH.copy()
     values[:, 0] = np.arange(N) / rate / scale
     text = HEAD + "\n".join(lines_of(",", values))
@@ -461,9 +452,7 @@ def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
     ("chunk", "kind"),
     [(8192, CompressionType.NONE), (8192, CompressionType.ZSTD), (1 << 24, CompressionType.LZ4)],
 )
-def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
-    tmp_path: Path, chunk: int, kind: CompressionType
-) -> None:
+def test_a_cut_off_mcap_is_read_to_its_last_whole_message(tmp_path, chunk, kind):
     path = tmp_path / "log.mcap"
     write_joint_states(path, chunk, kind)
     raw, share = path.read_bytes(), 0.6
@@ -598,9 +587,7 @@ CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).rando
         (CUT, "a.csv.gz", {}, r"cannot be read .*; check that the file was copied"),
     ],
 )
-def test_a_text_without_numbers_is_refused(
-    tmp_path: Path, raw: bytes, name: str, options: dict[str, Any], words: str
-) -> None:
+def test_a_text_without_numbers_is_refused(tmp_path, raw, name, options, words):
     (tmp_path / name).write_bytes(raw)
     with pytest.raises(InputError, match=words):
         open_table(tmp_path / name, ReadSection(**options)).read([0])

@@ -250,9 +250,7 @@ def test_from_outside_its_range_it_comes_back_at_its_own_speed() -> None:
     wanted=st.floats(1e5, 1e7),
     reading=st.floats(-1e6, 2e7),
 )
-def test_it_always_stays_in_range_and_below_its_speed(
-    angle: float, pressure: float, wanted: float, reading: float
-) -> None:
+def test_it_always_stays_in_range_and_below_its_speed(angle, pressure, wanted, reading):
     after = control(LAW, held(angle, pressure), wanted, reading)
     assert LAW.least <= after.angle <= LAW.most
     assert abs(after.angle - angle) <= LAW.step * (1.0 + 1e-9)

@@ -84,9 +84,7 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("way", ["", "_forward", "_backward"])
-def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
-    recordings: Path, way: str
-) -> None:
+def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(recordings, way):
     """At 2 rpm the lead screw sticks and slips, and nothing of that is fitted."""
     first, second = result_of(f"screw_drive_1{way}.yaml"), result_of(f"screw_drive_2{way}.yaml")
     assert first.alpha == second.alpha == 2.0
@@ -125,9 +123,7 @@ def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_
 
 
 @pytest.mark.recordings
-def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(
-    recordings: Path, tmp_path: Path
-) -> None:
+def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(recordings, tmp_path):
     found = simulate_source(
         CAMPAIGNS / "emps.yaml",
         [fitted_file("emps.yaml", tmp_path), CAMPAIGNS / "emps_published.json"],
@@ -180,9 +176,7 @@ def quiet(_what: str, _share: float) -> None:
     ("name", "declared_mrad", "free_mrad"),
     [("sts3032_to_light.yaml", 12.0, 7.7), ("sts3032_to_heavy.yaml", 22.8, 17.5)],
 )
-def test_sts3032_predicts_the_angle_of_the_other_mass(
-    recordings: Path, name: str, declared_mrad: float, free_mrad: float
-) -> None:
+def test_sts3032_predicts_the_angle_of_the_other_mass(recordings, name, declared_mrad, free_mrad):
     """Mean absolute errors of the loop simulated from its command, supply and first sample."""
     rungs = {
         (r.friction, r.free): r

@@ -119,9 +119,7 @@ def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
         (Constants(motion="linear"), record({}), "which the result"),
     ],
 )
-def test_what_a_machine_needs_is_asked_for(
-    constants: Constants | None, found: dict[str, Any], why: str
-) -> None:
+def test_what_a_machine_needs_is_asked_for(constants, found, why):
     with pytest.raises(InputError, match=why):
         model_bench(
             base_bench(Path()),

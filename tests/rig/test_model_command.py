@@ -358,9 +358,7 @@ def test_mujoco_has_the_torque_within_the_printed_error(name: str | None, tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["yaml", *FORMATS])
-def test_every_format_is_written_from_the_command_line(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_format_is_written_from_the_command_line(kind, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = result(tmp_path / "demo", [named("transport_delay"), named("cogging")])
     arguments = ["model", str(folder), "--format", kind, "--json", "record.json"]
@@ -378,9 +376,7 @@ def test_every_format_is_written_from_the_command_line(
     ("changes", "place"),
     [({"constants": None}, "constants"), ({"parameters": {"Mc": 1.0}}, "parameters.J")],
 )
-def test_a_result_without_what_a_model_needs(
-    changes: dict[str, Any], place: str, tmp_path: Path
-) -> None:
+def test_a_result_without_what_a_model_needs(changes, place, tmp_path):
     with pytest.raises(InputError) as error:
         exported(read_model(result(tmp_path / "demo", **changes)), "c")
     assert f"diagnose.json: {place}" in str(error.value)

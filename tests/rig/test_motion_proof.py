@@ -145,9 +145,7 @@ def test_torque_constant(stated: float, source: str) -> None:
 
 
 @pytest.mark.parametrize(("share", "wrong"), [(0.577, 0), (0.5, 1)])
-def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(
-    share: float, wrong: int
-) -> None:
+def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(share, wrong):
     nominal = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM)
     assert len(proven(motion(torque=nothing), nominal).contradictions) == wrong
     other = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM / share)
@@ -191,9 +189,7 @@ def test_an_encoder_that_stands_still_explains_a_trip() -> None:
 
 @pytest.mark.parametrize("shown", [0, 1, 2])
 @pytest.mark.parametrize("counts", [5, 40])
-def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(
-    shown: int, counts: int
-) -> None:
+def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(shown, counts):
     count = 1e-5
     moved = np.concatenate((np.zeros(150), count * np.arange(1.0, counts + 1)))
     joint = np.floor(np.linspace(0.0, shown, len(moved))) * 4e-4
@@ -340,9 +336,7 @@ def test_too_slow_a_travel_and_stale_samples_decide_nothing() -> None:
     assert witnessed(68.0, fresh=False) is None
 
 
-def test_a_run_ends_before_its_first_stage_and_takes_the_power_off(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_run_ends_before_its_first_stage_and_takes_the_power_off(runner, fake_bench):
     bench = fake_bench()
     follow = bench.exchange
 

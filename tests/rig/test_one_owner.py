@@ -93,9 +93,7 @@ def settled(bench: PtyBench) -> int:
 
 
 @pytest.mark.parametrize("kind", ["serial", pytest.param("slcan", marks=pytest.mark.proof)])
-def test_the_second_program_on_a_bench_is_refused(
-    kind: str, tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_second_program_on_a_bench_is_refused(kind, tmp_path, short_sequence, capsys):
     # The limits of a serial bench are cut.
     text = short_sequence.read_text().replace("amplitude_deg: 5", "amplitude_deg: 1")
     # With weights a run on a real bench would first be refused for want of a terminal.
@@ -120,9 +118,7 @@ def test_the_second_program_on_a_bench_is_refused(
             assert lock.taken_over is None
 
 
-def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(tmp_path, monkeypatch):
     part = Resource("simulated", "port simulated")
     monkeypatch.setattr(connect_module, "resources", lambda bench: (part,))
     monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path)
@@ -198,9 +194,7 @@ def test_a_run_that_is_still_going_is_neither_recovered_nor_resumed(
     assert read_record(run).state == "done"
 
 
-def test_a_run_whose_program_was_killed_is_taken_over_and_said(
-    tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_whose_program_was_killed_is_taken_over_and_said(tmp_path, short_sequence, capsys):
     run, moved = tmp_path / "run", tmp_path / "moved"
     with rig("run", str(short_sequence), "--out", str(run)) as first:
         first.wait_for(MASS)
@@ -263,15 +257,11 @@ def test_a_simulated_bench_uses_nothing_that_others_could(name: str) -> None:
         ("slcan", "/dev/no\0ne", Resource("/dev/no\0ne", "port /dev/no\0ne")),
     ],
 )
-def test_a_channel_is_a_device_or_a_name(
-    interface: str, channel: str | None, expected: Resource
-) -> None:
+def test_a_channel_is_a_device_or_a_name(interface, channel, expected):
     assert resources(can_bench(interface, channel)) == (expected,)
 
 
-def test_a_port_is_the_same_under_all_its_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_is_the_same_under_all_its_names(tmp_path, monkeypatch):
     by_id = tmp_path / "usb-FTDI-port0"
     by_id.symlink_to(tmp_path / "ttyUSB0")
     monkeypatch.chdir(tmp_path)

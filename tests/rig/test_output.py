@@ -130,9 +130,7 @@ def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, 
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_complaining_without_stderr_is_no_error(
-    monkeypatch: pytest.MonkeyPatch, closed: bool
-) -> None:
+def test_complaining_without_stderr_is_no_error(monkeypatch, closed):
     stream = io.StringIO()
     stream.close()
     monkeypatch.setattr(sys, "stderr", stream if closed else None)

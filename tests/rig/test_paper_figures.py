@@ -78,9 +78,7 @@ def test_fig_3_is_what_the_paper_says_of_it() -> None:
 
 
 @pytest.mark.proof
-def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "SPEEDS_DEG_S", (1.5, 2.5, 4.0, 8.0, 20.0))
     monkeypatch.setattr(figures, "TRAVEL_DEG", {0.0: 5.0})
     study = figures.measure(tmp_path, 4)
@@ -113,9 +111,7 @@ stages:
 """
 
 
-def test_the_closed_loop_settles_and_moves_its_own_load(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path, monkeypatch):
     path = tmp_path / "steps.yaml"
     path.write_text(STEPS)
     monkeypatch.setattr(figures, "LOOP_SEQUENCE", str(path))
@@ -130,9 +126,7 @@ def test_the_closed_loop_settles_and_moves_its_own_load(
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
 
 
-def test_the_sine_is_followed_better_and_its_energy_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path, monkeypatch):
     short = tmp_path / "figure10.yaml"
     text = resolve("figure10", "sequences").read_text()
     short.write_text(

@@ -30,9 +30,7 @@ def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunF
     return folder
 
 
-def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(runner, fake_bench):
     folder = tripped(runner, fake_bench, FIRST, stale=4)
     samples = read_run(folder.recording).samples
     inside = samples["segment"] == 1
@@ -67,9 +65,7 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     assert "without --partial" in without_partial(both)
 
 
-def test_excitations_that_never_began_or_were_begun_again_are_none(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_excitations_that_never_began_or_were_begun_again_are_none(runner, fake_bench):
     folder = tripped(runner, fake_bench, FIRST)
     discard(folder.record, 0)
     folder.save()
@@ -87,9 +83,7 @@ def first_cycle(runner: Any, fake_bench: Any) -> int:
 
 
 @pytest.mark.parametrize("count", [LEAST_SAMPLES - 1, LEAST_SAMPLES])
-def test_few_samples_make_a_recording_one_makes_none(
-    runner: Any, fake_bench: Any, tmp_path: Path, count: int
-) -> None:
+def test_few_samples_make_a_recording_one_makes_none(runner, fake_bench, tmp_path, count):
     begin = first_cycle(runner, fake_bench)
     runner.folder = tmp_path / "again"
     folder = tripped(runner, fake_bench, begin + count - 1)
@@ -118,9 +112,7 @@ def test_a_campaign_has_nothing_partial(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--partial is allowed for a run folder only" in capsys.readouterr().err
 
 
-def test_an_export_names_what_is_partial(
-    runner: Any, fake_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_export_names_what_is_partial(runner, fake_bench, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tripped(runner, fake_bench, SECOND)
     assert status(["export", str(folder.path), "--out", "a.csv"]) == 0
@@ -160,9 +152,7 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", ["paper", pytest.param("default", marks=pytest.mark.proof)])
-def test_an_identification_of_what_was_recorded_says_so(
-    stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str
-) -> None:
+def test_an_identification_of_what_was_recorded_says_so(stopped, tmp_path, capsys, method):
     assert status(["identify", str(stopped), "--out", str(tmp_path)]) == 2
     assert "--partial uses the recorded part" in capsys.readouterr().err
     arguments = ["identify", str(stopped), "--method", method, "--partial", "--out", str(tmp_path)]

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +97,7 @@ def test_an_fmu_runs_on_the_bench() -> None:
 
 
 @pytest.mark.parametrize("source", ["practical", "practical_serial", "practical_dbc"])
-def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
-    source: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(source, capsys):
     Path("short.yaml").write_text(SHORT.replace("frequency_Hz: 2", "frequency_Hz: 1"))
     machine("if self.steps > 25_000 and voltage_V > 1.0: 1 / 0")
     bench({"python": "machine.py", "class": "Mine"}, source)
@@ -165,9 +162,7 @@ def _broken() -> None:
         (_broken, "machine.py:1: SyntaxError"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(
-    spoil: Callable[[], None], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(spoil, words, capsys):
     bench(NOMINAL_CLASS)
     spoil()
     assert run() == 2
@@ -192,9 +187,7 @@ def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(
         (NOMINAL_CLASS, {"motor": {"gear_ratio": 50}}, "mock.motor"),
     ],
 )
-def test_a_wrong_section_is_refused_with_its_place(
-    plant: Any, more: dict[str, Any], place: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_section_is_refused_with_its_place(plant, more, place, capsys):
     path = bench(plant, **more)
     assert status(["check", str(path)]) == 2
     problems = capsys.readouterr().err.splitlines()
@@ -207,9 +200,7 @@ def test_a_pressure_transmitter_has_nothing_to_measure(capsys: pytest.CaptureFix
     assert "no gas generator" in capsys.readouterr().err
 
 
-def test_a_mistake_in_the_own_machine_cannot_be_built_in(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mistake_in_the_own_machine_cannot_be_built_in(capsys):
     path = str(bench(NOMINAL_CLASS))
     assert status(["commission", path, "--yes", "--mistake", "ratio", "--out", "out"]) == 2
     assert "mock.plant" in capsys.readouterr().err

@@ -89,9 +89,7 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
     ],
     ids=["same node", "master is servo", "no EDS", "object missing"],
 )
-def test_a_bench_that_cannot_be_connected_to_is_bad_input(
-    tmp_path: Path, outcomes: Any, changes: list[tuple[str, str]], words: str
-) -> None:
+def test_a_bench_that_cannot_be_connected_to_is_bad_input(tmp_path, outcomes, changes, words):
     shutil.copy(ENCODER_EDS, "encoder.eds")
     Path("poor.eds").write_text(DRIVE_EDS.read_text().replace("[6061]", "[5061]"))
     bench = variant(tmp_path, *changes)
@@ -113,9 +111,7 @@ def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("node", "count"), [(2, 0), (0x10, 2)])
-def test_frames_of_a_drive_must_not_be_those_of_the_encoder(
-    tmp_path: Path, node: int, count: int
-) -> None:
+def test_frames_of_a_drive_must_not_be_those_of_the_encoder(tmp_path, node, count):
     bench = variant(
         tmp_path, ("encoder: {node: 2", f"encoder: {{node: {node}"), source="practical_dbc"
     )
@@ -319,9 +315,7 @@ def planned(folder: Path, text: str) -> Plan:
 
 
 @pytest.mark.parametrize(("yes", "terminal"), [(True, True), (False, False)])
-def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(
-    tmp_path: Path, yes: bool, terminal: bool
-) -> None:
+def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(tmp_path, yes, terminal):
     bench = load_bench(variant(tmp_path, REAL))
     reason = "--yes would answer" if yes else "no terminal for the prompts"
     with pytest.raises(InputError, match=rf"{reason}.* stages heavy have weights.*without --yes"):
@@ -338,9 +332,7 @@ def test_who_can_be_asked_or_needs_no_asking_may_run(tmp_path: Path) -> None:
     require_attendance(heavy, load_bench(hoist), yes=True, terminal=False)
 
 
-def test_weights_and_yes_on_a_real_bench_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_weights_and_yes_on_a_real_bench_are_refused(tmp_path, capsys):
     planned(tmp_path, HEAVY)
     servo = ("\nservo: {", f"\nservo: {{eds: {DRIVE_EDS}, ")
     encoder = ("\nencoder: {", f"\nencoder: {{eds: {ENCODER_EDS}, ")

@@ -97,9 +97,7 @@ def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
-def test_every_stop_signal_is_heard_at_the_prompt(
-    pipe: Pipe, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_every_stop_signal_is_heard_at_the_prompt(pipe, monkeypatch, name):
     number = getattr(signal, name)
 
     def waiting(reading: Any, writing: Any, odd: Any, wait_s: float) -> Any:

@@ -102,9 +102,7 @@ def moved(*arguments: Any) -> SimulatedBench:
     return bench
 
 
-def test_check_shows_what_the_bench_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_shows_what_the_bench_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(rig.wiring.connect, "simulated_bench", moved)
     path = variant(tmp_path, ("supply_V: 60", "supply_V: 40"))
     assert status(["check", str(path), "--json", str(tmp_path / "c.json")]) == 1

@@ -176,9 +176,7 @@ def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
     max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(share=st.floats(0, 1), value=st.integers(1, 255))
-def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
-    long: Path, tmp_path: Path, share: float, value: int
-) -> None:
+def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(long, tmp_path, share, value):
     """Wherever it is: in a chunk, its length, its opcode, a record without checksum, the index."""
     damaged = bytearray(long.read_bytes())
     end = chunks(damaged)[-1][1]

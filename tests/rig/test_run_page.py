@@ -143,9 +143,7 @@ def tight(runner: Any, short_sequence: Path) -> Any:
 
 
 @pytest.mark.parametrize("what", TRIPS)
-def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
-    what: str, tight: Any, fake_bench: Any
-) -> None:
+def test_a_trip_is_shown_first_with_its_limit_and_its_moment(what, tight, fake_bench):
     act, check, title = TRIPS[what]
     bench = fake_bench()
     bench.faults["exchange", INSIDE] = lambda: act(bench)
@@ -249,9 +247,7 @@ def test_a_page_opens_with_the_result_and_holds_all_it_needs(done: RunFolder) ->
         ({"simulated": False}, "host time", True),
     ],
 )
-def test_lateness_is_shown_where_there_is_any(
-    fields: dict[str, bool], clock: str, drawn: bool, done: RunFolder
-) -> None:
+def test_lateness_is_shown_where_there_is_any(fields, clock, drawn, done):
     html = write_run_report(done.path, dataclasses.replace(done.record, **fields)).read_text()
     assert (LATENESS in titles(html)) is drawn
     # Without pacing, there is no table of a lateness that is always zero.
@@ -260,9 +256,7 @@ def test_lateness_is_shown_where_there_is_any(
     assert ("REAL BENCH" in html) is drawn
 
 
-def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
-    short_sequence: Path, tmp_path: Path
-) -> None:
+def test_a_run_waits_for_no_library_of_plots_tables_and_filters(short_sequence, tmp_path):
     code = (
         # python-can itself loads asammdf if it is installed.
         "import sys; sys.modules['asammdf'] = None\n"
@@ -280,9 +274,7 @@ def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
         assert f"'{heavy}'" not in done.stdout
 
 
-def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(runner, fake_bench):
     bench = fake_bench()
 
     def stop() -> None:
@@ -310,9 +302,7 @@ class GivesUp(AutomaticOperator):
         return weight_kg
 
 
-def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(runner, fake_bench):
     folder, _ = runner(fake_bench(), operator=GivesUp(1.0))
     assert data_of(page_of(folder), OPENING)["frame"]["mark"][1].startswith("last under power ")
 
@@ -325,9 +315,7 @@ def test_a_run_that_never_moved_says_so(runner: Any, fake_bench: Any) -> None:
     assert f"rig resume {folder.path}" in html
 
 
-def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
-    runner: Any, fake_bench: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(runner, fake_bench, capsys):
     folder, _ = runner(fake_bench())
     content = folder.recording.read_bytes()
     folder.recording.write_bytes(content[: len(content) // 2])
@@ -402,9 +390,7 @@ def broken(whole: tuple[Path, RunRecord], folder: Path, content: bytes | None) -
 
 
 @pytest.mark.parametrize("content", [None, b"hello"])
-def test_without_a_recording_the_rest_of_the_page_is_there(
-    whole: tuple[Path, RunRecord], tmp_path: Path, content: bytes | None
-) -> None:
+def test_without_a_recording_the_rest_of_the_page_is_there(whole, tmp_path, content):
     html = broken(whole, tmp_path / "run", content)
     assert ("cannot be read" if content is None else "not an MCAP recording") in last_part(html)
     assert "encoder against drive" in html
@@ -414,9 +400,7 @@ def test_without_a_recording_the_rest_of_the_page_is_there(
 
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_whatever_the_recording_is_like_there_is_a_page(
-    whole: tuple[Path, RunRecord], tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_whatever_the_recording_is_like_there_is_a_page(whole, tmp_path_factory, data):
     content = bytearray((whole[0] / "recording.mcap").read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(content) - 1))
@@ -427,9 +411,7 @@ def test_whatever_the_recording_is_like_there_is_a_page(
     assert html.rstrip().endswith("</body></html>")
 
 
-def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(
-    whole: tuple[Path, RunRecord], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(whole, monkeypatch, tmp_path):
     monkeypatch.setattr(recorded, "read_attachments", lambda attachments: read_attachments({}))
     html = broken(whole, tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
     assert "The limits are not known (bench.yaml is not attached to the recording)" in html
@@ -442,9 +424,7 @@ def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(
 
 
 @pytest.mark.parametrize("name", ["last_seconds", "whole", "read_attachments", "read_traces"])
-def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
-    whole: tuple[Path, RunRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_failure_in_drawing_leaves_the_rest_of_the_page(whole, tmp_path, monkeypatch, name):
     def fails(*arguments: Any) -> None:
         raise ZeroDivisionError("a defect of this page")
 
@@ -456,9 +436,7 @@ def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
     assert "<h2>Provenance</h2>" in html
 
 
-def test_the_limits_over_time_are_those_that_were_judged_by(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limits_over_time_are_those_that_were_judged_by(runner, fake_bench, monkeypatch):
     """Every change of limits, first passes and the ways to them included, worked out from what is
     attached.
     """
@@ -618,9 +596,7 @@ def test_phases_follow_from_events_and_excitations() -> None:
     pause=st.sampled_from([0, 100_000]),
     seed=st.integers(0, 9),
 )
-def test_a_recording_is_reduced_without_the_loss_of_an_extreme(
-    count: int, pause: int, seed: int
-) -> None:
+def test_a_recording_is_reduced_without_the_loss_of_an_extreme(count, pause, seed):
     cycles, half = np.arange(count), count // 2
     cycles[half:] += pause
     current = np.random.default_rng(seed).normal(size=count)

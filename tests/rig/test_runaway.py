@@ -45,14 +45,7 @@ def moved(command: str, bench: str, folder: Path) -> int:
 
 @pytest.mark.parametrize(("command", "bench"), MOST)
 @pytest.mark.parametrize("loop", LOOPS)
-def test_a_motion_that_runs_away_is_cut(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    loop: Loop,
-    command: str,
-    bench: str,
-) -> None:
+def test_a_motion_that_runs_away_is_cut(tmp_path, monkeypatch, capsys, loop, command, bench):
     found = watch_machines(monkeypatch, loop)
     assert moved(command, bench, tmp_path) == 1
     peak_deg_s, travel_deg = MOST[command, bench]
@@ -64,9 +57,7 @@ def test_a_motion_that_runs_away_is_cut(
 
 
 @pytest.mark.parametrize("loop", [*LOOPS, None])
-def test_a_slow_motion_against_the_command_names_the_sign(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop | None
-) -> None:
+def test_a_slow_motion_against_the_command_names_the_sign(tmp_path, monkeypatch, loop):
     """A long cycle hides that the speed grows."""
     watch_machines(monkeypatch, loop)
     changes = (("cycle_Hz: 1000", "cycle_Hz: 100"), ("sample_age_ms: 5", "sample_age_ms: 50"))
@@ -100,9 +91,7 @@ def test_a_fault_of_the_drive_in_a_motion_against_the_command_names_the_sign(
 @pytest.mark.parametrize(
     ("command", "bench"), [("jog", "practical_serial"), ("run", "practical_dbc")]
 )
-def test_loops_of_the_right_sign_are_not_cut(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, bench: str
-) -> None:
+def test_loops_of_the_right_sign_are_not_cut(tmp_path, monkeypatch, command, bench):
     found = watch_machines(monkeypatch)
     assert moved(command, bench, tmp_path) == 0
     assert found.travel_deg > 4.0

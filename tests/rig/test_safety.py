@@ -94,9 +94,7 @@ def test_a_good_sample_passes() -> None:
         (Check.DRIVE_STATE, {"statusword": 0x0027}, {"statusword": 0x0007}, 0x27),
     ],
 )
-def test_both_sides_of_a_limit(
-    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
-) -> None:
+def test_both_sides_of_a_limit(kind, inside, outside, limit):
     assert check(sample(**inside), 0.0, 0.0, LIMITS) is None
     trip = check(sample(**outside), 0.0, 0.0, LIMITS)
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
@@ -156,9 +154,7 @@ def test_time_under_power() -> None:
         ({"supply_voltage": 12.0}, 0.0, 0.0, (Check.SUPPLY, 12.0, 48.0, "V")),
     ],
 )
-def test_a_trip_says_what_it_saw(
-    changes: dict[str, float], age: float, late: float, found: tuple[Check, float, float, str]
-) -> None:
+def test_a_trip_says_what_it_saw(changes, age, late, found):
     assert check(sample(**changes), age, late, LIMITS) == Trip(*found, 1.25)
 
 
@@ -178,9 +174,7 @@ def test_a_trip_says_what_it_saw(
         ((Check.TEMPERATURE, Check.SUPPLY), {"temperature": 99.0, "supply_voltage": 0.0}),
     ],
 )
-def test_of_two_broken_limits_the_cause_is_named(
-    order: tuple[Check, Check], changes: dict[str, float]
-) -> None:
+def test_of_two_broken_limits_the_cause_is_named(order, changes):
     trip = check(sample(**changes), 0.0, 0.0, LIMITS)
     assert trip.check is order[0]
 
@@ -209,9 +203,7 @@ HOT = dataclasses.replace(
         ),
     ],
 )
-def test_both_sides_of_the_gas_limits(
-    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
-) -> None:
+def test_both_sides_of_the_gas_limits(kind, inside, outside, limit):
     assert check(sample(**inside), 0.0, 0.0, HOT) is None
     trip = check(sample(**outside), 0.0, 0.0, HOT)
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
@@ -275,9 +267,7 @@ def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
         ({}, 0.0, 1.0, Check.LATENESS),
     ],
 )
-def test_reset_needs_good_inputs(
-    changes: dict[str, float], age: float, late: float, why: Check
-) -> None:
+def test_reset_needs_good_inputs(changes, age, late, why):
     latch = asked()
     assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
     assert latch.trip.check is why

@@ -128,9 +128,7 @@ def test_what_the_encoding_lacks_is_escaped() -> None:
     os.close(reading)
 
 
-def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(
-    terminal: Terminal,
-) -> None:
+def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(terminal):
     clock = SimulatedClock()
     terminal.resize(40)
     screen = on(terminal, clock)

@@ -76,9 +76,7 @@ def test_the_simulated_drive_rates_what_the_bench_says(tmp_path: Path) -> None:
 
 
 @given(st.floats(0.01, 20.0), st.floats(1e-6, 0.1))
-def test_the_derived_current_loop_is_stable_whatever_the_motor(
-    resistance: float, inductance: float
-) -> None:
+def test_the_derived_current_loop_is_stable_whatever_the_motor(resistance, inductance):
     tree, _ = parse(f"machine: {{resistance_ohm: {resistance!r}, inductance_H: {inductance!r}}}")
     parts = derived(tree.plain())
     motor, loops = parts["motor"], parts["loops"]

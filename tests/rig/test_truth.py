@@ -114,9 +114,7 @@ def test_what_a_bench_hides_is_in_no_file_of_the_run(hiding: Path) -> None:
     assert truth_of(hiding) is None
 
 
-def test_the_attached_bench_is_one_that_an_engineer_could_write(
-    hiding: Path, tmp_path: Path
-) -> None:
+def test_the_attached_bench_is_one_that_an_engineer_could_write(hiding, tmp_path):
     attached = tmp_path / "attached.yaml"
     attached.write_bytes(read_run(hiding / "recording.mcap").attachments["bench.yaml"])
     bench, original = load_bench(attached).value, load_bench("practical").value

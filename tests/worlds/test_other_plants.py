@@ -4,7 +4,6 @@ are sealed and readable.
 
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,9 +102,7 @@ def test_the_elastic_shaft_is_the_catalogues() -> None:
 
 
 @pytest.mark.parametrize("plant", PACKAGES)
-def test_a_world_is_readable_and_its_truth_sealed(
-    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_world_is_readable_and_its_truth_sealed(plant, tmp_path, monkeypatch):
     pytest.importorskip(PACKAGES[plant])
     for name, value in (("SHORTEST_S", 1.0), ("LONGEST_S", 2.0), ("MOST", 3)):
         monkeypatch.setattr(drawing, name, value)

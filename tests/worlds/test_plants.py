@@ -95,9 +95,7 @@ def plain() -> tuple[World, Signals]:
     return world, played(world)
 
 
-def test_a_stuck_joint_is_exactly_still_and_lets_go_at_the_static_limit(
-    plain: tuple[World, Signals],
-) -> None:
+def test_a_stuck_joint_is_exactly_still_and_lets_go_at_the_static_limit(plain):
     world, signals = plain
     still = np.flatnonzero(np.diff(signals.angle[:1500]) == 0.0)
     assert len(still) > 100

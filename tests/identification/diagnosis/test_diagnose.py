@@ -72,9 +72,7 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
     ],
 )
-def test_what_is_hidden_is_named_and_sized(
-    name: str, parameters: dict[str, float], equation: str
-) -> None:
+def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
     found = of(campaign({name: parameters}, 2, 6.0))
     assert name in found.effects[0].alias_group
     assert found.fit.equation == equation

@@ -64,9 +64,7 @@ def test_what_a_gap_explains_is_not_looked_for_again(gap: Joint) -> None:
     assert all(c.gain <= 1.01 * gap.cost for c in ranked(gap))
 
 
-def test_what_a_candidate_promises_is_what_its_fit_is_preferred_by(
-    plain: Joint, gap: Joint
-) -> None:
+def test_what_a_candidate_promises_is_what_its_fit_is_preferred_by(plain, gap):
     asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
     added = Added(BY_NAME["asymmetric_coulomb"], (), tuple(asymmetry.coefficients))
     after = fit(gap.equations[0].views, "N m", gap.nominal, (*gap.effects, added), plain)

@@ -146,9 +146,7 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     )
 
 
-def test_without_recordings_set_aside_there_is_no_oracle(
-    lopsided: tuple[Recording, ...], first: Joint
-) -> None:
+def test_without_recordings_set_aside_there_is_no_oracle(lopsided, first):
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
 
@@ -176,9 +174,7 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
     return views(recordings, 25.0)
 
 
-def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
-    recordings: tuple[Recording, ...],
-) -> None:
+def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(recordings):
     assert rests_under_torque(seen(recordings), "N m") == ()
     (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")

@@ -82,9 +82,7 @@ def estimate_with(found: Diagnosis, **changes: float | None) -> Identification:
 
 
 @pytest.mark.parametrize("share", [1.0, 1.5])
-def test_refined_constants_are_reported_unless_their_error_is_larger(
-    monkeypatch: pytest.MonkeyPatch, share: float
-) -> None:
+def test_refined_constants_are_reported_unless_their_error_is_larger(monkeypatch, share):
     dataset, plain = of_hidden()
     refined = estimate_with(plain, J=share * 1.0001 * plain.parameters["J"])
     monkeypatch.setattr(scored, "refit", lambda *_: refined)
@@ -98,9 +96,7 @@ def test_refined_constants_are_reported_unless_their_error_is_larger(
     assert any("hm" in w for w in found.warnings if "again" in w) == taken
 
 
-def test_a_rise_that_is_not_determined_is_left_out_and_said(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_rise_that_is_not_determined_is_left_out_and_said(monkeypatch):
     dataset, plain = of_hidden()
     refined = replace(
         estimate_with(plain, mu_s=None),
@@ -114,9 +110,7 @@ def test_a_rise_that_is_not_determined_is_left_out_and_said(
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_constants_that_are_not_refined_are_said(
-    monkeypatch: pytest.MonkeyPatch, fails: bool
-) -> None:
+def test_constants_that_are_not_refined_are_said(monkeypatch, fails):
     dataset, plain = of_hidden()
 
     def refit(*_arguments: object) -> Identification:

@@ -235,9 +235,7 @@ def test_dropped_effects_take_no_part_in_the_next_search_and_only_a_name_replace
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
-    monkeypatch: pytest.MonkeyPatch, moves: bool
-) -> None:
+def test_a_valve_that_hardly_moves_is_judged_by_the_motor(monkeypatch, moves):
     """A gap is found; the valve's own motion may then be too little for a fit."""
     sides: list[tuple[str, bool]] = []
     gap = SimpleNamespace(term=EFFECTS["backlash"])
@@ -317,9 +315,7 @@ def test_each_is_named_and_the_other_rejected(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "told"), [("backlash", True), ("coupling_hysteresis", False)])
-def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(
-    name: str, told: bool
-) -> None:
+def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(name, told):
     """A loop that the angles give some torque stays open to both."""
     gap = 1e-4
     here = valve_side(name)

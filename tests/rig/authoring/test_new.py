@@ -105,9 +105,7 @@ def test_a_real_bench_has_no_simulated_machine(options: tuple[str, ...], cycle_H
         (("--devices", "real", *SMALL), ["--servo-eds", "--encoder-eds"]),
     ],
 )
-def test_values_that_cannot_be_guessed_are_asked_for(
-    options: tuple[str, ...], lacking: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_values_that_cannot_be_guessed_are_asked_for(options, lacking, capsys):
     assert new("bench", "b.yaml", *options) == 2
     assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == lacking
     assert not Path("b.yaml").exists()
@@ -209,9 +207,7 @@ def test_a_linear_campaign_has_scales_terms_and_a_recording_to_validate() -> Non
         (("b.csv",), ["b.csv: "]),
     ],
 )
-def test_a_campaign_refuses_options_that_make_no_file(
-    options: tuple[str, ...], named: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_campaign_refuses_options_that_make_no_file(options, named, capsys):
     Path("a.csv").write_text("t,torque,angle\n0,1,2\n1,2,3\n")
     assert new("campaign", "c.yaml", "a.csv", *options, "--yes") == 2
     told = capsys.readouterr().err

@@ -157,9 +157,7 @@ STOPPED_IN = {phase for phase, _ in TRANSITIONS} - {Phase.FIRST_PASS, Phase.WEIG
 
 
 @pytest.mark.parametrize("phase", sorted(STOPPED_IN, key=lambda phase: phase.value))
-def test_stop_in_every_phase(
-    phase: Phase, bound: Bound, runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stop_in_every_phase(phase, bound, runner, fake_bench, monkeypatch):
     bench = fake_bench()
     devices = bench.devices
 

@@ -103,9 +103,7 @@ def drawn(run: Followed) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     return np.concatenate([np.full(found.first, np.nan), angle])
 
 
-def test_a_continued_run_keeps_its_charts_and_events(
-    stopped: Path, resume: Callable[[], object]
-) -> None:
+def test_a_continued_run_keeps_its_charts_and_events(stopped, resume):
     run = followed(stopped)
     read_all(run)
     before = [words for _, words in run.events]
@@ -139,9 +137,7 @@ def test_a_continued_run_keeps_its_charts_and_events(
     assert any("all 2 stages done" in words for _, words in broken.events)
 
 
-def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(
-    stopped: Path, resume: Callable[[], object]
-) -> None:
+def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(stopped, resume):
     run = followed(stopped, gone=True)
     read_all(run)
     before, begun = list(run.events), run.begun
@@ -160,9 +156,7 @@ def told(run: Followed, phase: str) -> dict[str, Any]:
     return found
 
 
-def test_values_of_the_time_before_a_stop_are_never_current(
-    stopped: Path, resume: Callable[[], object], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_values_of_the_time_before_a_stop_are_never_current(stopped, resume, monkeypatch):
     run = followed(stopped)
     # The program that continues the run connects; its recording does not exist yet.
     read_all(run)
@@ -201,9 +195,7 @@ def recorded(path: Path, count: int) -> bytes:
 
 
 @pytest.mark.parametrize("step", [977, 100_000, 10_000_000])
-def test_everything_is_read_once_however_it_grows(
-    tmp_path: Path, step: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_everything_is_read_once_however_it_grows(tmp_path, step, monkeypatch):
     monkeypatch.setattr(growing, "READ_BYTES", 40_000)
     data = recorded(tmp_path / "whole.mcap", 400)
     path = tmp_path / "growing.mcap"
@@ -274,9 +266,7 @@ CYCLE_S = 1e-3
     gap=st.integers(0, 30_000),
     seed=st.integers(0, 9),
 )
-def test_every_interval_has_the_extremes_of_its_samples(
-    pieces: list[int], gap: int, seed: int
-) -> None:
+def test_every_interval_has_the_extremes_of_its_samples(pieces, gap, seed):
     values = np.random.default_rng(seed).normal(size=(2, sum(pieces)))
     cycles = np.arange(sum(pieces))
     # The recording stands still while the operator hangs a weight.

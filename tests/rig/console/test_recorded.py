@@ -179,9 +179,7 @@ def test_only_runs_of_the_list_are_compared(desk: Desk, runs: object, said: str)
         ({"constant": "Mc", "last": True}, "last a whole number from 1 to"),
     ],
 )
-def test_only_constants_of_the_listed_runs_are_followed(
-    desk: Desk, content: dict[str, Any], said: str
-) -> None:
+def test_only_constants_of_the_listed_runs_are_followed(desk, content, said):
     answer = desk.post("/trend", content)
     assert answer[0] == 409
     assert said in words(answer)
@@ -279,9 +277,7 @@ def test_the_latest_of_many_are_listed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["run.html", "diagnosis/report.html", "certificate.pdf"])
-def test_the_pages_of_a_run_are_given_out_without_power_to_act(
-    half_written: Path, name: str
-) -> None:
+def test_the_pages_of_a_run_are_given_out_without_power_to_act(half_written, name):
     desk = Desk(half_written)
     desk.get("/recorded")
     status, text, headers = desk.get(f"/recorded/deep/two/{name}")

@@ -183,9 +183,7 @@ def test_no_command_without_the_token_or_by_another_method(console: Served, path
         ({**STOP, "run": ["x"]}, 409),
     ],
 )
-def test_broken_commands_are_refused_in_words(
-    console: Served, content: object, status: int
-) -> None:
+def test_broken_commands_are_refused_in_words(console, content, status):
     found, text, _ = console.request("POST", "/command", content)
     assert (found, bool(json.loads(text)["words"])) == (status, True)
 
@@ -204,9 +202,7 @@ def test_another_site_cannot_watch(console: Served, opened: Callable[..., Page])
         assert not opened(console.token, **headers).accepted
 
 
-def test_one_page_holds_the_controls_until_it_closes(
-    console: Served, page: Page, opened: Callable[..., Page]
-) -> None:
+def test_one_page_holds_the_controls_until_it_closes(console, page, opened):
     reader = opened("wrong").controls()
     assert (reader["yours"], reader["may"]) == (False, False)
     second = opened(console.token)
@@ -277,9 +273,7 @@ class Wire:
     ("apart_s", "count", "closed"),
     [(2.0, 5, {1, 2}), (0.0, 3 * YOUNG_SHARE, set()), (0.0, 13, set(range(1, 11)))],
 )
-def test_a_connection_that_may_bring_a_command_is_closed_last(
-    apart_s: float, count: int, closed: set[int]
-) -> None:
+def test_a_connection_that_may_bring_a_command_is_closed_last(apart_s, count, closed):
     """The first of them has a command in progress; young ones may still bring one."""
 
     async def nothing(scope: object, receive: object, send: object) -> None:

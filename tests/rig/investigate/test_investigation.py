@@ -179,9 +179,7 @@ def test_what_no_experiment_separates_is_ambiguous_and_says_what_would(world: Wo
 
 
 @pytest.mark.parametrize("verdict", [Verdict.NOTHING_MISSING, Verdict.OUTSIDE_CATALOGUE])
-def test_without_a_rival_it_shows_what_no_recording_has_shown_twice(
-    world: World, verdict: Verdict
-) -> None:
+def test_without_a_rival_it_shows_what_no_recording_has_shown_twice(world, verdict):
     world.verdict, world.per_run = verdict, 9.0
     state = new()
     state.experiments = []
@@ -252,13 +250,7 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
         (("--confirm", "missing.json"), "missing.json"),
     ],
 )
-def test_bad_input(
-    arguments: tuple[str, ...],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_input(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err
