@@ -86,8 +86,7 @@ def drawn_map(rng: Random, heard: Mapping[str, Place], told: Mapping[str, Place]
             current=drawn_quantity(rng, heard),
         ),
         status=Status(
-            state,
-            dict(zip(("disabled", "running", "fault"), ((v,) for v in values), strict=False)),
+            state, dict(zip(("disabled", "running", "fault"), ((v,) for v in values), strict=False))
         ),
         target=target,
         orders=Orders(

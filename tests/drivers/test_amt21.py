@@ -4,12 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.amt21.encoder import (
-    COUNTS_PER_TURN,
-    PlausibilityGate,
-    decode,
-    encode,
-)
+from drivers.amt21.encoder import COUNTS_PER_TURN, PlausibilityGate, decode, encode
 from drivers.errors import ConfigurationError, LinkError
 
 from .contract import enabled

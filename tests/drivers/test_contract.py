@@ -8,12 +8,7 @@ from drivers.canopen.sdo import Axis
 from .contract import Rig, ServoContract
 from .dbc_host import make_dbc_host
 from .host import drive_eds, make_host
-from .serial_host import (
-    in_memory,
-    serial_over_pty,
-    slcan_over_pty,
-    socketcand_on_loopback,
-)
+from .serial_host import in_memory, serial_over_pty, slcan_over_pty, socketcand_on_loopback
 
 
 class TestCanBuses(ServoContract):

@@ -12,14 +12,7 @@ from drivers.dbc.map import Protection, Quantity
 from drivers.dbc.servo import DbcServo
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from drivers.mock.dbc_drive import (
-    COMMISSIONED,
-    DRIVE_DBC,
-    POWERED,
-    DbcDrive,
-    Order,
-    State,
-)
+from drivers.mock.dbc_drive import COMMISSIONED, DRIVE_DBC, POWERED, DbcDrive, Order, State
 from drivers.mock.encoder import ENCODER_EDS
 
 from .dbc_host import DRIVE, HELD, MAP, DbcHost, enabled, make_dbc_host, prepared

@@ -6,13 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.motion import (
-    AT_REST,
-    LoopGains,
-    LoopState,
-    derived,
-    step,
-)
+from drivers.canopen.motion import AT_REST, LoopGains, LoopState, derived, step
 from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoLimits
 

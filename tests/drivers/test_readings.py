@@ -9,13 +9,7 @@ import pytest
 from drivers.canopen.motion import ProfilePosition
 from drivers.canopen.sensors import Cia404Transmitter
 from drivers.epos.frames import FrameDecoder, Opcode
-from drivers.errors import (
-    ConfigurationError,
-    DeviceError,
-    LimitError,
-    LinkError,
-    ObjectAccessError,
-)
+from drivers.errors import ConfigurationError, DeviceError, LimitError, LinkError, ObjectAccessError
 from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen import dictionary as od

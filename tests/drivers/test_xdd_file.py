@@ -96,11 +96,7 @@ def xdd(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     "text",
-    [
-        DRIVE_EDS.read_text(),
-        ENCODER_EDS.read_text(),
-        *(description(make) for make in MAKES),
-    ],
+    [DRIVE_EDS.read_text(), ENCODER_EDS.read_text(), *(description(make) for make in MAKES)],
     ids=["drive", "encoder", *MAKES],
 )
 def test_a_device_is_the_same_by_either_file(tmp_path: Path, text: str) -> None:

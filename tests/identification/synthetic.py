@@ -103,10 +103,7 @@ def dense(matrix: BlockArrow) -> Array:
 
 
 def pressure_history(
-    time: Array,
-    angle: Array,
-    g: GasGenerator,
-    exact: bool = True,
+    time: Array, angle: Array, g: GasGenerator, exact: bool = True
 ) -> tuple[Array, Array, Array]:
     """Return pressure (Pa), web burnt (m) and the pressure's rate under a moving valve."""
     areas = throat_derivatives(angle, g.valve)

@@ -10,15 +10,7 @@ import pytest
 from identification.design import propose as proposing
 from identification.design import search
 from identification.design.propose import attained, expected, propose
-from identification.design.search import (
-    Bounds,
-    Draws,
-    Excitation,
-    Frame,
-    Part,
-    Ramps,
-    best_shares,
-)
+from identification.design.search import Bounds, Draws, Excitation, Frame, Part, Ramps, best_shares
 from identification.design.simulated import (
     NAMES,
     NOTHING,

@@ -16,11 +16,7 @@ from identification.model.friction import (
     load_coefficient,
     system_friction,
 )
-from identification.model.parameters import (
-    ALPHA,
-    NOMINAL,
-    pack,
-)
+from identification.model.parameters import ALPHA, NOMINAL, pack
 from identification.numerics.compiled import compiled
 from identification.recording import Bench, Recording
 

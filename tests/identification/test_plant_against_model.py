@@ -15,11 +15,7 @@ from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_generator as kernel
 from identification.model.friction import load_coefficient, system_friction
-from identification.model.gas_generator import (
-    GasGenerator,
-    constants,
-    throat_derivatives,
-)
+from identification.model.gas_generator import GasGenerator, constants, throat_derivatives
 from identification.model.gas_generator import throat_area as believed_throat
 
 from .synthetic import TRUTH, pressure_history

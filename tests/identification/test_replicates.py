@@ -13,18 +13,9 @@ from hypothesis.extra.numpy import arrays
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
 from identification.estimate import replicates
 from identification.estimate.covariance import bound, covariances
-from identification.estimate.inertia import (
-    Equation,
-    inflation_factors,
-    least_variance,
-    mean_curve,
-)
+from identification.estimate.inertia import Equation, inflation_factors, least_variance, mean_curve
 from identification.estimate.refinement import Found, _unbiased
-from identification.estimate.replicates import (
-    Bias,
-    likelihood_bias,
-    logged_share,
-)
+from identification.estimate.replicates import Bias, likelihood_bias, logged_share
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.likelihood import HUBER_THRESHOLD, Point, likeliest_noise, torque_noise
 from identification.filter.segments import Noise, motion

@@ -175,10 +175,7 @@ def lifting(hoist: Hoist, drag_N_m: float = 0.0) -> Recording:
     torque = bare.channels["torque"] + hoist.mass * G * hoist.radius + drag_N_m
     torque = torque + hoist.mass * hoist.radius**2 * acceleration
     return replace(
-        bare,
-        channels={**bare.channels, "torque": torque},
-        hoist=hoist,
-        constant_torque=-drag_N_m,
+        bare, channels={**bare.channels, "torque": torque}, hoist=hoist, constant_torque=-drag_N_m
     )
 
 

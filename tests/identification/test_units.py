@@ -6,12 +6,7 @@ import pytest
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.statement import sentence
 from identification.effects import EFFECTS
-from identification.model.parameters import (
-    parameter_title,
-    parameter_unit,
-    torque_word,
-    unit_on,
-)
+from identification.model.parameters import parameter_title, parameter_unit, torque_word, unit_on
 from identification.prepare import drive_channel, torque_unit
 from identification.recording import Bench, Recording
 

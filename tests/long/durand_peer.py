@@ -209,14 +209,7 @@ class Plant:
         self.current = mean
 
 
-STATUS = {
-    "off": 0x40,
-    "ready": 0x31,
-    "on": 0x33,
-    "run": 0x37,
-    "quick stop": 0x17,
-    "fault": 0x08,
-}
+STATUS = {"off": 0x40, "ready": 0x31, "on": 0x33, "run": 0x37, "quick stop": 0x17, "fault": 0x08}
 POWERED = ("on", "run", "quick stop")
 
 

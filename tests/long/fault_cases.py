@@ -128,9 +128,7 @@ SIGNS: Mapping[str, Case] = {
 }
 CASES: Mapping[str, Case] = {
     "one frame lost": Case(
-        (fault("bus", "lost"),),
-        RIDES,
-        at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED),
+        (fault("bus", "lost"),), RIDES, at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED)
     ),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),

@@ -146,7 +146,7 @@ _DEAD: Mapping[str, Case] = {
         (fault("host", "killed"),),
         Must(-9, verified=False, stays_on=True),
         at(NO_POWER, Must(-9, "", 0.0, verified=False)),
-    ),
+    )
 }
 """The guardian is a process of its own, for real ports: see tests/long/moments.py.
 

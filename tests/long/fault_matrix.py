@@ -36,11 +36,7 @@ PAGE = Path("out/fault_matrix.md")
 
 TRANSPORTS: Mapping[str, Transport] = {
     "CANopen": Transport("practical", CASES),
-    "EPOS serial": Transport(
-        "practical_serial",
-        SERIAL,
-        in_reaction="not OPERATION ENABLED",
-    ),
+    "EPOS serial": Transport("practical_serial", SERIAL, in_reaction="not OPERATION ENABLED"),
     "CAN frames of its own (DBC)": Transport(
         "practical_dbc",
         DBC,

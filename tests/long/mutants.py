@@ -45,10 +45,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo.py",
     ),
-    "drivers.dbc.servo": (
-        "tests/drivers/test_dbc_servo.py",
-        "tests/drivers/test_readings.py",
-    ),
+    "drivers.dbc.servo": ("tests/drivers/test_dbc_servo.py", "tests/drivers/test_readings.py"),
 }
 """Module to the tests that guard it."""
 

@@ -131,10 +131,7 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
         "mock": {
             "motor": motor,
             "joint": joint,
-            "loops": {
-                "position_gain": float(rng.uniform(20, 70)),
-                "current_limit_A": limit_A,
-            },
+            "loops": {"position_gain": float(rng.uniform(20, 70)), "current_limit_A": limit_A},
             "sensing": sensing,
             "supply_V": supply,
         },

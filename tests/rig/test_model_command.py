@@ -24,16 +24,8 @@ from identification.recording import Bench
 from identification.simulation.closed_loop import OPEN_LOOP, Inputs, simulate
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.model import (
-    FORMATS,
-    SIMULATION,
-    Model,
-    exported,
-    read_model,
-)
-from rig.results.model import (
-    MOTION as MOTION_FILE,
-)
+from rig.results.model import FORMATS, SIMULATION, Model, exported, read_model
+from rig.results.model import MOTION as MOTION_FILE
 
 PARAMETERS = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,

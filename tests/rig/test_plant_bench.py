@@ -157,10 +157,7 @@ def _broken() -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "words"),
-    [
-        (_lacking, "machine.py: cannot be read"),
-        (_broken, "machine.py:1: SyntaxError"),
-    ],
+    [(_lacking, "machine.py: cannot be read"), (_broken, "machine.py:1: SyntaxError")],
 )
 def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(spoil, words, capsys):
     bench(NOMINAL_CLASS)

@@ -591,11 +591,7 @@ def test_phases_follow_from_events_and_excitations() -> None:
 
 
 @settings(max_examples=25)
-@given(
-    count=st.integers(2, 9000),
-    pause=st.sampled_from([0, 100_000]),
-    seed=st.integers(0, 9),
-)
+@given(count=st.integers(2, 9000), pause=st.sampled_from([0, 100_000]), seed=st.integers(0, 9))
 def test_a_recording_is_reduced_without_the_loss_of_an_extreme(count, pause, seed):
     cycles, half = np.arange(count), count // 2
     cycles[half:] += pause

@@ -64,10 +64,7 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
     [
         ("backlash", {"gap_rad": 0.004}, "transmission"),
         pytest.param(
-            "asymmetric_viscous",
-            {"coefficient_Nms_rad": 0.4},
-            "torque",
-            marks=pytest.mark.proof,
+            "asymmetric_viscous", {"coefficient_Nms_rad": 0.4}, "torque", marks=pytest.mark.proof
         ),
         ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
     ],

@@ -101,8 +101,7 @@ def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(one, ex
 
 
 @pytest.mark.parametrize(
-    ("power", "expected"),
-    [(0.3, Verdict.NOTHING_MISSING), (0.9, Verdict.OUTSIDE_CATALOGUE)],
+    ("power", "expected"), [(0.3, Verdict.NOTHING_MISSING), (0.9, Verdict.OUTSIDE_CATALOGUE)]
 )
 def test_a_pattern_within_the_noise_without_a_name_is_nothing_missing(power, expected):
     """Beyond one and a half times the noise it is something."""
@@ -359,11 +358,7 @@ def test_what_does_not_explain_unused_recordings_takes_no_empty_place() -> None:
     assert found.final.effects == ()
 
 
-RESTS = (
-    PLAN[1],
-    *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)),
-    (0.0, ladder, "validate"),
-)
+RESTS = (PLAN[1], *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)), (0.0, ladder, "validate"))
 
 
 @pytest.mark.parametrize("growth_N_m", [6.0, 0.0])

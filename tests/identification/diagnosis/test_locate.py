@@ -10,17 +10,8 @@ import pytest
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Joint, fit, without_effect
 from identification.diagnosis.linear import Added
-from identification.diagnosis.locate import (
-    Mismatch,
-    best_map,
-    maps,
-    mismatch_of,
-    ranges,
-)
-from identification.diagnosis.rows import (
-    FROM_TORQUE,
-    functions,
-)
+from identification.diagnosis.locate import Mismatch, best_map, maps, mismatch_of, ranges
+from identification.diagnosis.rows import FROM_TORQUE, functions
 from identification.effects import MOTION
 from identification.recording import Array, Dataset
 

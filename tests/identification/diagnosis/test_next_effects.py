@@ -10,12 +10,8 @@ import pytest
 from identification.diagnosis.comparison import preference
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.observable import collinear_effects
-from identification.diagnosis.removal import (
-    left_beyond_noise,
-)
-from identification.diagnosis.significance import (
-    trial_candidates,
-)
+from identification.diagnosis.removal import left_beyond_noise
+from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Candidate
 from identification.effects import MOTION
 from identification.effects.effect import Context

@@ -20,9 +20,7 @@ from identification.diagnosis.oracle import (
     sparse,
 )
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.significance import (
-    rests_under_torque,
-)
+from identification.diagnosis.significance import rests_under_torque
 from identification.effects import MOTION
 from identification.recording import Array, Dataset, Model, Recording
 from identification.views.view import View, views

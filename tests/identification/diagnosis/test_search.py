@@ -137,11 +137,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert [e.name for e in found.effects] == ["coulomb_drift"]
     drift = {"coulomb_drift": {"rate_Nm_s": 0.12, "time_s": 5.0}}
     apart = tuple(
-        replace(
-            campaign(drift, 3 + k, 6.0)[0],
-            name=f"r{k}",
-            role="validate" if k == 3 else "fit",
-        )
+        replace(campaign(drift, 3 + k, 6.0)[0], name=f"r{k}", role="validate" if k == 3 else "fit")
         for k in range(4)
     )
     apart = (*apart[:-1], begun_late(apart[-1], 2.0))

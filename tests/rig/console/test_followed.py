@@ -18,16 +18,7 @@ from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
 from rig.common.provenance import IDENTIFY_SCHEMA, RESULT_FILE
 from rig.common.sample import Sample
-from rig.console.followed import (
-    BLOCK,
-    CHANNELS,
-    DEG,
-    MOST,
-    Followed,
-    Growing,
-    TorqueSpeed,
-    curves,
-)
+from rig.console.followed import BLOCK, CHANNELS, DEG, MOST, Followed, Growing, TorqueSpeed, curves
 from rig.control.remote import RunProgress
 from rig.runs.decimation import KEPT, Decimation
 from rig.runs.mcap.reader import read_run

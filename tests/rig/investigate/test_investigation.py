@@ -68,10 +68,7 @@ class World:
         diagnosis = SimpleNamespace(verdict=self.verdict, fit=SimpleNamespace(bandwidth_Hz=25.0))
         outcome = SimpleNamespace(diagnosis=diagnosis)
         return SimpleNamespace(
-            outcome=outcome,
-            diagnosis=diagnosis,
-            weighed=weighed(preference),
-            found=None,
+            outcome=outcome, diagnosis=diagnosis, weighed=weighed(preference), found=None
         )
 
     def propose(self, *arguments: Any) -> Any:
