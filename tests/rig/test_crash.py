@@ -16,6 +16,8 @@ from rig.wiring.teardown import SafeState
 
 from .command import assert_in_words, rig
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 OFF = "the drive is de-energised (read back: switch on disabled)"
 EFFECTS = """\
 from rig.cli import entry as cli
@@ -38,11 +40,6 @@ class StrangeError(BaseException):
 
 
 Raise = Callable[[BaseException], None]
-
-
-@pytest.fixture(autouse=True)
-def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture

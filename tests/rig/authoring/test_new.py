@@ -22,17 +22,14 @@ from rig.sources.build import load_source
 from rig.sources.columns import guess_channels, guess_mass, is_linear
 from rig.terminal.prompt import InputEndedError
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 SMALL = (
     *("--lever-ratio", "1", "--moment-arm", "0.15", "--supply", "24", "--gear-ratio", "51"),
     *("--torque-constant", "0.0259", "--resistance", "0.6", "--inductance", "0.0002"),
     *("--rated-current", "3.2", "--current-limit", "5", "--weights", "2,5", "--yes"),
 )
 REAL = ("--devices", "real", "--servo-eds", "d.eds")
-
-
-@pytest.fixture(autouse=True)
-def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 class Answering:
