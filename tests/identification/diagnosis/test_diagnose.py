@@ -66,7 +66,7 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         pytest.param(
             "asymmetric_viscous", {"coefficient_Nms_rad": 0.4}, "torque", marks=pytest.mark.proof
         ),
-        ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
+        pytest.param("inverter_dead_time", {"voltage_V": 0.5}, "voltage", marks=pytest.mark.proof),
     ],
 )
 def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
@@ -120,7 +120,8 @@ def test_friction_that_lags_by_its_level_or_by_its_speed(of_speed: float) -> Non
     assert parameters["of_speed"].low == parameters["of_speed"].high == of_speed
 
 
-@pytest.mark.parametrize("rational", [0.0, pytest.param(1.0, marks=pytest.mark.proof)])
+@pytest.mark.proof
+@pytest.mark.parametrize("rational", [0.0, 1.0])
 def test_torque_that_saturates_by_either_law(rational: float) -> None:
     hidden = {"torque_saturation": {"knee_A": KNEE_A, "rational": rational}}
     found = diagnose(Dataset(campaign(hidden, 6, 8.0), Model()))

@@ -361,7 +361,7 @@ def test_what_does_not_explain_unused_recordings_takes_no_empty_place() -> None:
 RESTS = (PLAN[1], *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)), (0.0, ladder, "validate"))
 
 
-@pytest.mark.parametrize("growth_N_m", [6.0, 0.0])
+@pytest.mark.parametrize("growth_N_m", [6.0, pytest.param(0.0, marks=pytest.mark.proof)])
 def test_static_friction_that_grows_at_rest_is_named_by_its_breakaways(growth_N_m: float) -> None:
     """The other equations have no mismatch."""
     dwell = {"growth_Nm": growth_N_m, "time_s": 0.25}

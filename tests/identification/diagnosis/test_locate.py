@@ -87,6 +87,7 @@ def test_chance_explains_nothing(equation: str) -> None:
     assert max(shares) < 0.35
 
 
+@pytest.mark.proof
 def test_an_offset_of_the_current_lies_in_the_torque_equation() -> None:
     """The voltage equation, in which an offset shows less, has more rows."""
     recordings = campaign({"current_offset": {"current_A": 0.3}}, 18, 8.0)

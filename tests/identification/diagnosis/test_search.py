@@ -149,7 +149,8 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert any("no common clock" in w for w in found.warnings)
 
 
-@pytest.mark.parametrize("other", [pytest.param(0.0, marks=pytest.mark.proof), -0.3])
+@pytest.mark.proof
+@pytest.mark.parametrize("other", [0.0, -0.3])
 def test_end_stops_are_found_at_one_end_of_the_travel_or_at_both(other: float) -> None:
     stop = {"angle_rad": 0.28, "stiffness_Nm_rad": 60.0, "other_rad": other}
     found = diagnose(
