@@ -20,15 +20,10 @@ from rig.cli.entry import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
 from rig.config.configuration import resolve
 from rig.wiring.connect import DRIVE_EDS
 
+from .benches import stages, swing
 from .ordinary import ordinary_user
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SEQUENCE = stages(swing("a"))
 CAMPAIGN = """\
 campaign: 1
 bench: {{torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}}

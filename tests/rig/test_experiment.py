@@ -19,13 +19,9 @@ from rig.common.provenance import IDENTIFY_SCHEMA
 from rig.config.sequence import StageSection, Tone, excitation
 from rig.results.identify.design import _with, excitation_words, nominal_values
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: free, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.4, phase_deg: 0}],
-     duration_s: 8}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 15, 0.4, 8))
 
 
 @pytest.fixture(autouse=True)

@@ -16,12 +16,9 @@ from rig.runs.catalogue.index import list_runs
 from rig.runs.recorder import GoneError, Recorder, open_recorder
 from rig.runs.run import RESERVE_FILE, read_record, require_space
 
-SEQUENCE = """\
-sequence: 1
-name: long
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 10}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("empty", 5, 1, 10), name="long")
 SAMPLE = Sample(*([0.0] * 13), 0x27, 1, True)
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import read_record
 
+from .benches import sine, stages
+
 CHILD = """
 import dataclasses
 import sys
@@ -49,14 +51,10 @@ if sys.argv.pop(1) == "hold":
     Cia402Servo.quick_stop = brake
 sys.exit(status(sys.argv[1:]))
 """
-SEQUENCE = """\
-sequence: 1
-name: long
-limits: {speed_deg_s: 20}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 0.5, frequency_Hz: 0.5}],
-     duration_s: 60.2, ramp_in_s: 0.1, settle_s: 0}
-"""
+SEQUENCE = stages(
+    sine("empty", 0.5, 0.5, 60.2, more=", ramp_in_s: 0.1, settle_s: 0"),
+    head="limits: {speed_deg_s: 20}\n",
+)
 
 
 @contextmanager

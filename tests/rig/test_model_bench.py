@@ -16,12 +16,9 @@ from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.runs.run import bench_constants, load_run
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: free, stage: unloaded, tones: [{amplitude_deg: 8, frequency_Hz: 0.5}], duration_s: 2.5}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 8, 0.5, 2.5))
 NOMINAL = {
     "J": 0.21, "Mc": 5.9, "Ms": 10.1, "omega_sf": 0.061, "sigma_2": 4.4, "mu_c": 0.05, "mu_s": 0.08,
     "omega_sL": 0.03, "mu_2": 0.03,

@@ -12,6 +12,8 @@ import pytest
 from rig.terminal.output import Inlet, Outlet, complain, reader_gone
 from tests.rig.command import assert_in_words, rig
 
+from .benches import sine, stages
+
 ROWS = """\
 import click
 from pathlib import Path
@@ -34,14 +36,10 @@ given.
 """
 
 SHORT = "short.yaml"
-SEQUENCE = """\
-sequence: 1
-name: short
-limits: {speed_deg_s: 20}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 1, frequency_Hz: 1}], duration_s: 2,
-     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0}
-"""
+SEQUENCE = stages(
+    sine("empty", 1, 1, 2, more=", ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0"),
+    head="limits: {speed_deg_s: 20}\n",
+)
 
 
 @pytest.mark.parametrize(("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")])

@@ -14,6 +14,8 @@ from rig.runs.mcap.reader import read_run
 from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
 from rig.runs.run_file import partial_names, partial_warnings, without_partial
 
+from .benches import sine, stages
+
 FIRST, SECOND = 600, 1200
 """A cycle well inside the first excitation of the short sequence, and one inside the second."""
 
@@ -128,13 +130,7 @@ def test_an_export_names_what_is_partial(runner, fake_bench, tmp_path, monkeypat
     ]
 
 
-SLOW = """\
-sequence: 1
-name: slow
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.5}], duration_s: 8,
-     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05}
-"""
+SLOW = stages(sine("empty", 15, 0.5, 8, more=", ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05"))
 
 
 @pytest.fixture(scope="module")

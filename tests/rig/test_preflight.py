@@ -26,7 +26,7 @@ from rig.runs.run_record import Ending
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.wiring.preflight import bench_findings, device_findings
 
-from .benches import stages, swing, variant
+from .benches import sine, stages, swing, variant
 
 SEQUENCE = stages(swing())
 TODAY = utc_now().date()
@@ -295,16 +295,8 @@ def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFi
     assert "encoder.node: 1 is also the node identifier of the servo" in capsys.readouterr().err
 
 
-EMPTY = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 3}
-"""
-HEAVY = EMPTY + (
-    "  - {name: heavy, stage: loaded, weight_kg: 5, duration_s: 3,\n"
-    "     tones: [{amplitude_deg: 5, frequency_Hz: 2}]}\n"
-)
+EMPTY = stages(sine(duration_s=3))
+HEAVY = stages(sine(duration_s=3), sine("heavy", duration_s=3, weight_kg=5))
 REAL = ("interface: mock", "interface: virtual")
 
 

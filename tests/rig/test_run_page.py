@@ -67,6 +67,7 @@ from rig.runs.run import RunFolder
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, RunRecord, SegmentRecord
 
+from .benches import sine, stages
 from .conftest import run_in
 
 OPENING = 3
@@ -354,13 +355,7 @@ def test_each_recording_of_a_run_that_went_on_is_shown(runner: Any, fake_bench: 
     assert marks[1][1].startswith("tripped 0.")
 
 
-BRIEF = """\
-sequence: 1
-name: short
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.3,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.01}
-"""
+BRIEF = stages(sine("a", duration_s=0.3, more=", ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.01"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from drivers.mock.plant.machine import LOOPS, Loop
 from rig.cli.entry import status
 from rig.wiring.runaway import REACTION, SIGNS, Runaway, Seen
 
-from .benches import variant
+from .benches import sine, stages, variant
 from .true_motion import watch_machines
 
 MOST = {
@@ -26,13 +26,7 @@ and bench, with a loop of the wrong sign. At full current the speed grows by 21 
 millisecond; the serial bench has a cycle of 10 ms. The travel includes the coasting without power:
 from 66 deg/s, friction of 6.8 N m stops an inertia of 0.2 kg m^2 within 1.1 deg.
 """
-SEQUENCE = """\
-sequence: 1
-name: probe
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 10, frequency_Hz: 1}], duration_s: 2,
-     settle_s: 0.05}
-"""
+SEQUENCE = stages(sine("empty", 10, 1, 2, more=", settle_s: 0.05"))
 
 
 def moved(command: str, bench: str, folder: Path) -> int:

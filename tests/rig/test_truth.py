@@ -16,18 +16,9 @@ from rig.results.identify.identify import METHODS
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - name: free
-    stage: unloaded
-    weight_kg: 0
-    tones: [{amplitude_deg: 15, frequency_Hz: 1.0, phase_deg: 0}]
-    duration_s: 3
-    ramp_in_s: 0.5
-    ramp_out_s: 0.5
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 15, 1.0, 3, more=", ramp_in_s: 0.5, ramp_out_s: 0.5"))
 
 
 @pytest.fixture(scope="module")

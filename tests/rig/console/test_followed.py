@@ -23,16 +23,9 @@ from rig.control.remote import RunProgress
 from rig.runs.decimation import KEPT, Decimation
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import open_recorder
+from tests.rig.benches import stages, swing
 
-SEQUENCE = """\
-sequence: 1
-name: two
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 2, frequency_Hz: 2}],
-     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SEQUENCE = stages(swing("a"), swing("b", 2, weight_kg=10))
 RECORDINGS = ("recording.mcap", "recording-2.mcap")
 
 
