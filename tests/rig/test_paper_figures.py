@@ -1,16 +1,19 @@
 """The paper's figures and tables, done again: each says what the numbers of its file say."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from identification.estimate.paper_method import identify_paper
 from identification.model.parameters import NOMINAL
 from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
+from rig.results.identify.identify import METHODS
 from rig.results.paper import figures
 from rig.results.paper import tables as paper
 from rig.results.paper.figures import Exhibit
@@ -47,6 +50,7 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
         )
 
 
+@pytest.mark.proof
 def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list[Exhibit]) -> None:
     data = numbers(ramps[0])
     plain, fed = (data["command_rad"] - data[name] for name in ("angle_rad", "angle_fed_rad"))
@@ -57,6 +61,7 @@ def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list
     assert "mrad off at the end" in ramps[0].found[1]
 
 
+@pytest.mark.proof
 def test_fig_9_is_the_speed_of_both_loads(ramps: list[Exhibit]) -> None:
     data = numbers(ramps[1])
     moving = np.abs(data["command_rad_s"] - np.deg2rad(1.0)) < 1e-9
@@ -126,6 +131,7 @@ def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path, monkeypatch):
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
 
 
+@pytest.mark.proof
 def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path, monkeypatch):
     short = tmp_path / "figure10.yaml"
     text = resolve("figure10", "sequences").read_text()
@@ -179,6 +185,8 @@ def folder(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
         patch.setattr(paper, "study", lambda seed, progress: [figures.valve_exhibit()])
+        patch.setitem(METHODS, "paper", partial(identify_paper, generations=15))
+        patch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
         assert (
             status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
             == 0
