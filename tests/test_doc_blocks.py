@@ -1,7 +1,5 @@
 """Every code block of the documents runs, or says why not; the reference is what the code says."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,14 +1,12 @@
 """The library as its users import it: data in, results out, nothing else loaded or printed."""
 
-from __future__ import annotations
-
 import doctest
 import json
 import math
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -62,9 +60,7 @@ def test_the_guide_is_a_session_that_runs() -> None:
 
 
 @pytest.mark.proof
-def test_the_tutorial_goes_from_a_csv_to_a_corrected_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tutorial_goes_from_a_csv_to_a_corrected_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run_page("tutorials/python")
 
@@ -258,9 +254,7 @@ def test_another_inertia_takes_another_torque() -> None:
         ("current_offset", {"current_A": 0.3}, lambda s: 0.9),
     ],
 )
-def test_effects_act_in_the_loop(
-    effect: str, parameters: dict[str, float], torque: Callable[[Any], Any]
-) -> None:
+def test_effects_act_in_the_loop(effect, parameters, torque):
     given = {f"{effect}.{name}": value for name, value in parameters.items()}
     plain = lr.simulate(TRUTH, SWING, draws=0)
     found = lr.simulate({**TRUTH, **given}, SWING, draws=0)

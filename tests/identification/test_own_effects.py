@@ -1,7 +1,5 @@
 """Effects of one's own: what a definition finds out, what is wrong with one, and its responses."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 
@@ -57,9 +55,7 @@ def refusal(tmp_path: Path, text: str) -> str:
     return str(refused.value)
 
 
-def test_parameters_are_linear_or_searched_and_signals_are_known(
-    six: dict[str, OwnEffect],
-) -> None:
+def test_parameters_are_linear_or_searched_and_signals_are_known(six):
     found = {n: (e.coefficients, e.nonlinear, e.size) for n, e in six.items()}
     assert found == {
         "root_drag": (("c",), (), None),
@@ -76,9 +72,7 @@ def test_parameters_are_linear_or_searched_and_signals_are_known(
     assert all(e.problems() == [] for e in six.values())
 
 
-def test_the_trials_stay_within_the_range_and_the_search_little_beyond(
-    six: dict[str, OwnEffect],
-) -> None:
+def test_the_trials_stay_within_the_range_and_the_search_little_beyond(six):
     entry = six["speed_resonance"]
     low = np.array([q.low for q in entry.parameters[1:]])
     high = np.array([q.high for q in entry.parameters[1:]])
@@ -127,9 +121,7 @@ def fade(s, p):
     assert entry.at({"w": 0.3}, Nominal({}, (), 2.0)) == ((0.3,), (1.0,))
 
 
-def test_a_compiled_function_of_samples_is_that_of_python(
-    six: dict[str, OwnEffect], view: View
-) -> None:
+def test_a_compiled_function_of_samples_is_that_of_python(six, view):
     nominal = Nominal({}, (), 2.0)
     for name in ("lagged_drag", "seal_drag"):
         entry = six[name]
@@ -142,9 +134,7 @@ def test_a_compiled_function_of_samples_is_that_of_python(
         assert fast == pytest.approx(plain, abs=1e-12), name
 
 
-def test_a_function_that_is_not_compiled_still_works(
-    tmp_path: Path, view: View, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_function_that_is_not_compiled_still_works(tmp_path, view, caplog):
     text = """
 def helper(w):
     return w
@@ -188,9 +178,7 @@ def helped(s, x, dt, p):
         ('class A(OwnEffect):\n    parameters = {"c": ("", 0, 1)}\n', "A:", "transmission"),
     ],
 )  # fmt: skip
-def test_a_wrong_definition_is_refused_with_its_place(
-    text: str, place: str, words: str, tmp_path: Path
-) -> None:
+def test_a_wrong_definition_is_refused_with_its_place(text, place, words, tmp_path):
     found = refusal(tmp_path, text)
     assert place in found
     assert words in found

@@ -1,7 +1,5 @@
 """The diagnosis on recordings of real machines, held against what their owners know."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache
@@ -111,9 +109,7 @@ def test_a_swing_whose_phase_each_recording_has_to_itself_is_judged_on_those_fit
 
 
 @pytest.mark.proof
-def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> (
-    None
-):
+def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor():
     """They fall at 4.6 s and stay, while the firmware asks for 5.4 V up."""
     said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint rests" in w]
     assert [w.split(":")[0] for w in said] == [

@@ -1,7 +1,5 @@
 """`rig run --dry-run`: what it predicts, from which values, and with which exit status it ends."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -69,9 +67,7 @@ def heavy(record: dict[str, Any]) -> float:
 @pytest.mark.parametrize(
     ("share", "found"), [(1.26, ""), (1.24, "warning"), (1.01, "warning"), (0.99, "problem")]
 )
-def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
-    share: float, found: str, measured: bool
-) -> None:
+def test_a_limit_is_a_problem_only_where_the_friction_was_measured(share, found, measured):
     arguments = ("--identification", str(result(Path("known.json")))) if measured else ()
     peak = heavy(dry(*arguments, "--no-first-pass")[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
@@ -91,9 +87,7 @@ def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
     ("removed", "problems", "warnings"),
     [([], 2, 0), (["mu_s"], 1, 1), (["Ms"], 0, 2), (["omega_sf"], 2, 0)],
 )
-def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
-    removed: list[str], problems: int, warnings: int
-) -> None:
+def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(removed, problems, warnings):
     path = Path("part.json")
     raw = json.loads(result(path).read_text())
     for name in removed:
@@ -110,9 +104,7 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
-def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
-    arguments: tuple[str, ...], prompts: int
-) -> None:
+def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(arguments, prompts):
     record = dry(*arguments)[1]
     assert record["prompts"] == prompts
     assert record["under_power_s"] == pytest.approx(2 * (0.5 + 0.05 + 0.1))
@@ -131,9 +123,7 @@ def test_what_is_named_is_used(option: str) -> None:
     assert heavy(record) > plain + 2.0
 
 
-def test_an_identification_without_a_load_does_not_fit_the_weight_check(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_identification_without_a_load_does_not_fit_the_weight_check(capsys):
     path = Path("open.json")
     raw = json.loads(result(path).read_text())
     raw["parameters"]["mu_c"]["value"] = None
@@ -142,9 +132,7 @@ def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     assert "parameters.mu_c: not identified; the weight check needs" in capsys.readouterr().err
 
 
-def test_the_newest_identification_of_the_same_bench_is_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_newest_identification_of_the_same_bench_is_found(tmp_path, capsys):
     bench = load_bench("practical")
     constants = bench_constants(bench.value)
     assert not friction_model(constants).measured
@@ -179,9 +167,7 @@ def test_the_newest_identification_of_the_same_bench_is_found(
 
 
 @pytest.mark.parametrize(("share", "code"), [(1.3, 0), (0.99, 2)])
-def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(
-    share: float, code: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(share, code, capsys):
     known = ("--identification", str(result(Path("known.json"))), "--no-first-pass")
     peak = heavy(dry(*known)[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
@@ -218,7 +204,6 @@ def test_a_first_pass_above_its_limit_is_warned_of_and_its_trip_names_the_predic
     assert (warning in told) is bool(code)
     assert any(warning in text for text in record.warnings) is bool(code)
     if code:
-        assert record.trip is not None
         assert (record.trip["check"], record.trip["limit"]) == ("motor current", 11.25)
         assert record.trip["predicted"] == pytest.approx(12.88, abs=0.01)
         before, _, after = told.partition("\ntripped: ")

@@ -1,7 +1,5 @@
 """Effects of one's own from the command line: check, diagnosis, export, simulation, injection."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
@@ -259,9 +257,7 @@ def injected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     return run(folder, "hidden", bench), bench
 
 
-def test_a_bench_file_injects_an_effect_of_ones_own(
-    injected: tuple[Path, dict[str, Any]], six: OwnFile
-) -> None:
+def test_a_bench_file_injects_an_effect_of_ones_own(injected, six):
     folder, bench = injected
     (hidden,) = load_run(folder).recordings
     bench["mock"]["effects"] = {}
@@ -275,9 +271,7 @@ def test_a_bench_file_injects_an_effect_of_ones_own(
     assert b"effects_file" not in b"".join(p.read_bytes() for p in folder.glob("*.yaml"))
 
 
-def test_the_corrected_bench_injects_it_again(
-    injected: tuple[Path, dict[str, Any]], six: OwnFile
-) -> None:
+def test_the_corrected_bench_injects_it_again(injected, six):
     folder, _ = injected
     (recording,) = load_run(folder).recordings
     model = model_of(record({"root_drag": {"c": 6.0}}), ["a"], "r", six.catalogue)
@@ -302,9 +296,7 @@ def test_the_corrected_bench_injects_it_again(
         ),
     ],
 )
-def test_a_wrong_file_of_a_bench_has_its_place(
-    text: str | None, effects: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_a_wrong_file_of_a_bench_has_its_place(text, effects, words, tmp_path):
     if text is not None:
         (tmp_path / "mine.py").write_text(text)
     bench = base_bench(tmp_path)
@@ -317,9 +309,7 @@ def test_a_wrong_file_of_a_bench_has_its_place(
     assert "mock.effects" in str(refused.value)
 
 
-def test_a_check_on_recordings_finds_what_they_cannot_show(
-    injected: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_check_on_recordings_finds_what_they_cannot_show(injected, tmp_path):
     folder, _ = injected
     same, viscous = check_effects(read_effects(mine(tmp_path, COPY)), folder)
     assert [p.partition(":")[0] for p in same.problems] == ["copies quadratic_drag"]

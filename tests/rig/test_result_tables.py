@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from identification.result import (
     Fit,
@@ -18,7 +16,7 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.common.tables import interval, number, percent, table
+from rig.common.tables import interval, number, percent
 from rig.results.identify.document import (
     bootstrap_table,
     determined_notes,
@@ -99,21 +97,6 @@ def test_the_record_is_json_without_infinities() -> None:
         "draws": 100,
         "solved": 3,
     }
-
-
-CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
-
-
-@given(st.lists(st.tuples(CELL, CELL, CELL), max_size=6))
-def test_columns_line_up(rows: list[tuple[str, str, str]]) -> None:
-    lines = table(("name", "value", "unit"), rows, right=[1]).split("\n")
-    assert len(lines) == 2 + len(rows)
-    name_width, value_width, _ = (len(rule) for rule in lines[1].split("  "))
-    for line, row in zip(lines[2:], rows, strict=True):
-        assert line[:name_width].rstrip() == row[0]
-        assert line[name_width + 2 : name_width + 2 + value_width].lstrip() == row[1]
-        assert line[name_width + value_width + 4 :] == row[2]
-        assert not line.endswith(" ")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """The experiment that splits an alias group stays within the bench and runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -61,7 +59,6 @@ def test_it_is_sized_by_the_bench() -> None:
 
 def test_its_first_stage_runs(tmp_path: Path) -> None:
     text = separating_sequence(["time_skew"], load_bench("practical").value)
-    assert text is not None
     head, _, stages = text.partition("stages:\n")
     file = tmp_path / "split.yaml"
     file.write_text(f"{head}stages:\n{stages.splitlines()[0]}\n")

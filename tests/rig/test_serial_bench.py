@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -57,9 +55,7 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         "address",
     ],
 )
-def test_a_bench_that_cannot_work_is_refused(
-    tmp_path: Path, changes: list[tuple[str, str]], words: str
-) -> None:
+def test_a_bench_that_cannot_work_is_refused(tmp_path, changes, words):
     with pytest.raises(InputError, match=words):
         load_bench(variant(tmp_path, *changes, source="practical_serial"))
 

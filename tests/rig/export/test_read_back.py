@@ -1,7 +1,5 @@
 """Exports read back by one entry of a campaign: the same recordings, to the last bit."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from pathlib import Path
@@ -105,13 +103,7 @@ def test_a_run_comes_back(tmp_path: Path, kind: str, run: Path) -> None:
         (["--out", "exp.csv", "--format", "candump"], ["--out exp.csv.log", "--format csv"]),
     ],
 )
-def test_an_ending_of_another_format_is_refused(
-    tmp_path: Path,
-    run: Path,
-    options: list[str],
-    remedies: list[str],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_ending_of_another_format_is_refused(tmp_path, run, options, remedies, capsys):
     assert status(["export", str(run), *options]) == 2
     told = capsys.readouterr().err
     assert all(remedy in told for remedy in remedies)
@@ -157,9 +149,7 @@ def test_a_changed_export_is_refused(tmp_path: Path) -> None:
         load_source(campaign(tmp_path, place.name))
 
 
-def test_the_file_beside_a_csv_file_is_not_overwritten(
-    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_file_beside_a_csv_file_is_not_overwritten(tmp_path, run, capsys):
     names = [recording.name for recording in load_source(run).recordings]
     Path("x-heavy.csv.json" if len(names) > 1 else "x.csv.json").write_text("mine")
     assert status(["export", str(run), "--out", "x.csv"]) == 2

@@ -2,8 +2,6 @@
 disk, and what a kill at any moment leaves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -303,13 +301,7 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
         (("--confirm", "missing.json"), "missing.json"),
     ],
 )
-def test_bad_input(
-    arguments: tuple[str, ...],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_input(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err

@@ -14,16 +14,15 @@ from rig.cli.entry import BAD_INPUT, status
 from rig.common.places import read_json
 from rig.config.bench import load_bench
 from rig.investigate import proof
-from rig.results.prove.draw import OUTSIDE_SIZES, draw
+from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
 from rig.results.prove.engine import Processes
-from rig.results.prove.run import FAMILIES, INVESTIGATION, ON_A_BENCH, begin
 
 
 def quiet(*_: Any) -> None:
     """Show nothing."""
 
 
-@pytest.mark.parametrize("name", [*ON_A_BENCH[:3], *list(OUTSIDE_SIZES)[:2]])
+@pytest.mark.parametrize("name", [*proof.ON_A_BENCH[:3], *list(OUTSIDE_SIZES)[:2]])
 def test_a_drawn_machine_is_a_bench_whose_file_hides_its_effects_in_the_simulation(
     name: str, tmp_path: Path
 ) -> None:
@@ -63,20 +62,20 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     for name in ("campaign", "reference_of"):
         monkeypatch.setattr(proof, name, lambda *_: [])
     monkeypatch.setattr(proof, "strength", lambda *_: {"current": 5.0})
-    begun = begin(tmp_path, 2, 4, INVESTIGATION)
+    begun = proof.begin(tmp_path, 2, 4)
     rows = proof.work(begun, command, Processes(1), quiet)
     assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
         ("one", "missed", "missed")
     ] * 2
     assert [r["sha256"] for r in rows] == [s.digest for s in begun.rigs]
     asked.clear()
-    assert proof.work(begin(tmp_path, 2, 4, INVESTIGATION), command, Processes(1), quiet) == rows
+    assert proof.work(proof.begin(tmp_path, 2, 4), command, Processes(1), quiet) == rows
     assert asked == []
     found = proof.figures(rows)
     assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
     assert found["alarms"]["of"] == found["outside"]["of"] == 0
-    assert read_json(tmp_path / "rows" / "0001.json") == rows[0]
-    drawn = [kind for kind, _ in FAMILIES[INVESTIGATION].assignment(34, 4)]
+    assert read_json(tmp_path / "rows" / "rig-0001.json") == rows[0]
+    drawn = [kind for kind, _ in assignment(34, 4, proof.SHARES, proof.ON_A_BENCH)]
     assert {kind: drawn.count(kind) for kind in drawn} == {"one": 27, "nothing": 4, "outside": 3}
 
 
