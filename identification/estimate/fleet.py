@@ -271,7 +271,9 @@ def _shared(
     names = [n for n in names if any(u.part([n])[0] for u in units.values())]
     if not names:
         return {}, np.zeros((0, 0)), None
-    weight, right, parts = np.zeros((len(names),) * 2), np.zeros(len(names)), []
+    weight: Array = np.zeros((len(names),) * 2)
+    right: Array = np.zeros(len(names))
+    parts = []
     for unit in units.values():
         known, values, covariance = unit.part(names)
         at = [names.index(n) for n in known]
@@ -279,7 +281,7 @@ def _shared(
         weight[np.ix_(at, at)] += inverse
         right[at] += inverse @ values
         parts.append((at, values, inverse))
-    spread = np.linalg.inv(weight)
+    spread = np.asarray(np.linalg.inv(weight), dtype=np.float64)
     found = spread @ right
     q = sum(float((y - found[at]) @ w @ (y - found[at])) for at, y, w in parts)
     freedom = sum(len(at) for at, _, _ in parts) - len(names)

@@ -118,5 +118,10 @@ def test_wilson() -> None:
 
 
 def test_what_contradicts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["prove", "--investigate", "--gas", "--out", str(tmp_path / "o")]) == BAD_INPUT
+    assert (
+        status(
+            ["prove", "--investigate", "--seal", str(tmp_path / "s"), "--out", str(tmp_path / "o")]
+        )
+        == BAD_INPUT
+    )
     assert "--investigate" in capsys.readouterr().err
