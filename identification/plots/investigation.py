@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identification.numerics.arrays import Array
-from identification.plots.style import BLUE, MEASURED, MODEL, ZERO, figure, legend_above, thinned
+from identification.plots.style import MEASURED, MODEL, ORANGE, ZERO, figure, legend_above, thinned
 
 FEW = 6
 """Number of hypotheses that are drawn, the most likely ones of any experiment."""
@@ -58,7 +58,9 @@ def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -
         top.plot(t, measured, label="measured", **MEASURED)
         top.plot(t, predicted, label="predicted before the run", **MODEL)
         top.set_title(name)
-        bottom.fill_between(t, -half, half, color=BLUE, alpha=0.2, label="band", linewidth=0.0)
+        bottom.fill_between(
+            t, -half, half, color=ORANGE, alpha=0.4, label="band", linewidth=0.0, zorder=3
+        )
         bottom.plot(t, measured - predicted, label="measured - predicted", **MEASURED)
         bottom.axhline(0.0, **ZERO)
         bottom.set_xlabel("time (s)")
