@@ -64,9 +64,8 @@ def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -
         bottom.plot(t, measured - predicted, label="measured - predicted", **MEASURED)
         bottom.axhline(0.0, **ZERO)
         bottom.set_xlabel("time (s)")
-        if column == 0:
-            top.set_ylabel(f"torque ({unit})")
-            bottom.set_ylabel(f"difference ({unit})")
-            handles = [*top.lines, *bottom.collections, bottom.lines[0]]
-            made.legend(handles=handles, loc="outside lower center", ncols=4)
+        top.set_ylabel(f"torque ({unit})")
+        bottom.set_ylabel(f"difference ({unit})")
+    handles = [*top.lines, *bottom.collections, bottom.lines[0]]
+    made.legend(handles=handles, loc="outside lower center", ncols=4)
     return made
