@@ -41,6 +41,7 @@ from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
 from rig.results.catalogue.compare import Figure
+from rig.results.catalogue.study import Studied, Study
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 from rig.sources.look import Clock, Column, Look
@@ -109,8 +110,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig runs study --json": (
         "rig.results.catalogue.study:study_record",
-        "rig.results.catalogue.study:_record",
-        "rig.results.catalogue.study:studies",
+        "rig.results.catalogue.study:_about",
     ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
@@ -163,7 +163,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
-    "rig runs study --json": (Scatter,),
+    "rig runs study --json": (Scatter, Studied, Study),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
 }
