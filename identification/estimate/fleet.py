@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import optimize, special
@@ -29,13 +29,13 @@ _MIDDLE = float(special.ndtri(0.75))
 
 @dataclass(frozen=True)
 class Estimates:
-    """What the recordings of a unit determine: values, and their covariance by name; also of each
-    of its sessions in the order of time, if there are several.
+    """What the recordings of a unit determine: values and their covariance; also of each of several
+    sessions, by their start in the order of time.
     """
 
     values: Mapping[str, float]
     covariance: Spread
-    sessions: tuple[Estimates, ...] = ()
+    sessions: Mapping[str, Estimates] = field(default_factory=dict)
 
     def part(self, names: Sequence[str]) -> tuple[list[str], Array, Array]:
         """Return those of the names that are known, with values and covariance."""
@@ -71,13 +71,10 @@ class Population:
 
 @dataclass(frozen=True)
 class Odd:
-    """A parameter of a unit that differs from the other units.
-
-    Attributes:
-        value: The value that differs most: that of the unit, or of one of its sessions.
-        ratio: Difference from the mean of the others over its standard deviation.
-        p_value: Probability of such a unit in a fleet without an odd unit.
-        since: Index of the first session from which the parameter stays odd; None if there is none.
+    """A parameter of a unit that differs from the other units: the value, of the unit or of one of
+    its sessions, that differs most; its difference from the others' mean over its standard
+    deviation; the probability of such a unit in a fleet without an odd unit; and the first session
+    from which the parameter stays odd, None if there is none.
     """
 
     unit: str
@@ -85,7 +82,7 @@ class Odd:
     value: float
     ratio: float
     p_value: float
-    since: int | None
+    since: str | None
 
 
 @dataclass(frozen=True)
@@ -167,18 +164,24 @@ def odd_units(units: Mapping[str, Estimates], level: float = LEVEL) -> tuple[Odd
     count, tests = sum(map(len, judged.values())), []
     for name, own in judged.items():
         trials = [
-            [
-                None if not len(y) else (float(y[0]), float(c[0, 0]))
-                for _, y, c in (e.part([name]) for e in (units[k], *units[k].sessions))
-            ]
+            {
+                start: (float(y[0]), float(c[0, 0]))
+                for start, e in {"": units[k], **units[k].sessions}.items()
+                for _, y, c in [e.part([name])]
+                if len(y)
+            }
             for k in own
         ]
         for unit, tried, found in zip(own, trials, _compared(trials, level / count), strict=True):
-            k = min(range(len(found)), key=lambda k: found[k][1])
-            value, *_ = tried[k] or (math.nan,)
-            later = [p for t, (_, p) in zip(tried[1:], found[1:], strict=True)]
-            since = next((j for j in range(len(later)) if max(later[j:]) < level), None)
-            tests.append(Odd(unit, name, value, found[k][0], _least(found), since))
+            most = min(found, key=lambda start: found[start][1])
+            later = [start for start in found if start]
+            odd_from = [
+                start
+                for k, start in enumerate(later)
+                if max(found[after][1] for after in later[k:]) < level
+            ]
+            ratio, since = found[most][0], odd_from[0] if odd_from else None
+            tests.append(Odd(unit, name, tried[most][0], ratio, _least(found), since))
     odd, least = [], 0.0
     for k, test in enumerate(sorted(tests, key=lambda o: o.p_value)):
         least = max(least, test.p_value * (count - k))
@@ -188,25 +191,25 @@ def odd_units(units: Mapping[str, Estimates], level: float = LEVEL) -> tuple[Odd
     return tuple(odd)
 
 
-Trial = tuple[float, float] | None
-"""Value and variance; None if the parameter is not determined."""
+Trials = Mapping[str, tuple[float, float]]
 
 
-def _least(found: Sequence[tuple[float, float]]) -> float:
-    return min(min(p for _, p in found) * len(found), 1.0)
+def _least(found: Trials) -> float:
+    return min(min(p for _, p in found.values()) * len(found), 1.0)
 
 
-def _compared(trials: Sequence[Sequence[Trial]], level: float) -> list[list[tuple[float, float]]]:
-    """Return ratio and p-value of the trials of each unit, the first of which is the unit's value,
-    against the values of the others that are not odd.
+def _compared(trials: Sequence[Trials], level: float) -> list[Trials]:
+    """Return ratio and p-value of each value with its variance, by unit and session, against the
+    values of the other units that are not odd; the first of each is that of the whole unit.
     """
-    values, variances = np.array([t[0] for t in trials]).T
+    values, variances = np.array([t[""] for t in trials]).T
     sound = _near(values, variances)
     for _ in values:
-        found = []
+        found: list[Trials] = []
         for k, tried in enumerate(trials):
             others = sound & (np.arange(len(values)) != k)
-            found.append([_against(t, values[others], variances[others]) for t in tried])
+            y, v = values[others], variances[others]
+            found.append({start: _against(*trial, y, v) for start, trial in tried.items()})
         again = np.array([_least(f) >= level for f in found])
         if np.sum(again) < LEAST_UNITS or np.array_equal(again, sound):
             break
@@ -227,14 +230,12 @@ def _near(values: Array, variances: Array) -> BoolArray:
     return np.asarray(ratio <= max(_FAR, float(np.median(ratio))))
 
 
-def _against(trial: Trial, values: Array, variances: Array) -> tuple[float, float]:
-    if trial is None:
-        return 0.0, 1.0
+def _against(value: float, variance: float, values: Array, variances: Array) -> tuple[float, float]:
     between = _between(values, variances, len(values) - 1)
     _, mean, weight = _q(values, variances, between)
-    ratio = (trial[0] - mean) / math.sqrt(trial[1] + between + 1.0 / weight)
+    ratio = (value - mean) / math.sqrt(variance + between + 1.0 / weight)
     # The spread is known less well than a variance of as many equal values if others are less sure.
-    equal = (trial[1] + between) * weight / len(values)
+    equal = (variance + between) * weight / len(values)
     return ratio, float(2.0 * special.stdtr((len(values) - 1) * equal**2, -abs(ratio)))
 
 

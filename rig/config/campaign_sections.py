@@ -587,7 +587,7 @@ class RecordingSection(Schema):
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
-    unit: Annotated[str, BeforeValidator(_as_text), Field(pattern=r"^\w[\w.-]*$")] = ""
+    unit: Annotated[str, BeforeValidator(_as_text), Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None

@@ -147,8 +147,7 @@ def identify(
     from rig.common.places import is_folder, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
     from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.identify.document import identify_document
-    from rig.results.identify.fleet import (
+    from rig.results.fleet import (
         FLEET_FILE,
         campaign_of_units,
         fleet_document,
@@ -156,6 +155,7 @@ def identify(
         identify_fleet,
         unit_records,
     )
+    from rig.results.identify.document import identify_document
     from rig.results.identify.identify import (
         Request,
         compare_methods,
@@ -178,7 +178,7 @@ def identify(
         with ShareBar() as bar:
             fleet = identify_fleet(source, campaign, request, bar)
         write_record(fleet_record(fleet), folder / FLEET_FILE, json_file)
-        for file, record in unit_records(fleet).items():
+        for file, record in unit_records(fleet):
             write_record(record, folder / file, None)
         document = fleet_document(source_name(source), fleet)
         write_page(document, folder / PAGE_FILE)
