@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeGuard
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Discriminator,
     Field,
     PositiveFloat,
@@ -65,10 +64,6 @@ def _one_of(names: Iterable[str], what: str) -> AfterValidator:
 
     check.__name__ = f"known_{what}"  # by which the reference describes the check
     return AfterValidator(check)
-
-
-def _as_text(value: object) -> object:
-    return str(value) if type(value) is int else value
 
 
 def _not_nothing(value: float) -> float:
@@ -587,7 +582,7 @@ class RecordingSection(Schema):
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
-    unit: Annotated[str, BeforeValidator(_as_text), Field(pattern=r"^(\w[\w.-]*)?$")] = ""
+    unit: Annotated[str, Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None
@@ -596,6 +591,11 @@ class RecordingSection(Schema):
     rate: Constant | None = None
     read: ReadSection = ReadSection()
     channels: dict[ChannelName, ChannelSection] = Field(default_factory=dict)
+
+    @field_validator("unit", mode="before")
+    @classmethod
+    def _named(cls, unit: object) -> object:
+        return str(unit) if type(unit) is int else unit
 
     @property
     def exported(self) -> bool:
