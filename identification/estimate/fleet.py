@@ -7,7 +7,7 @@ recordings: to first order, generalised least squares of all estimates is one fi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -174,14 +174,10 @@ def odd_units(units: Mapping[str, Estimates], level: float = LEVEL) -> tuple[Odd
         ]
         for unit, tried, found in zip(own, trials, _compared(trials, level / count), strict=True):
             most = min(found, key=lambda start: found[start][1])
-            later = [start for start in found if start]
-            odd_from = [
-                start
-                for k, start in enumerate(later)
-                if max(found[after][1] for after in later[k:]) < level
-            ]
-            ratio, since = found[most][0], odd_from[0] if odd_from else None
-            tests.append(Odd(unit, name, tried[most][0], ratio, _least(found), since))
+            later = [(start, p) for start, (_, p) in found.items() if start]
+            stays = [s for k, (s, _) in enumerate(later) if all(p < level for _, p in later[k:])]
+            since = stays[0] if stays else None
+            tests.append(Odd(unit, name, tried[most][0], found[most][0], _least(found), since))
     odd, least = [], 0.0
     for k, test in enumerate(sorted(tests, key=lambda o: o.p_value)):
         least = max(least, test.p_value * (count - k))
@@ -224,8 +220,7 @@ def _near(values: Array, variances: Array) -> BoolArray:
     def excess(between: float) -> float:
         return float(np.median(off / np.sqrt(variances + between)) - _MIDDLE)
 
-    most = float(np.max(off)) ** 2 / _MIDDLE**2
-    between = optimize.brentq(excess, 0.0, most) if excess(0.0) > 0.0 else 0.0
+    between = _root(excess, float(np.max(off)) ** 2 / _MIDDLE**2)
     ratio = off / np.sqrt(variances + between)
     return np.asarray(ratio <= max(_FAR, float(np.median(ratio))))
 
@@ -250,13 +245,15 @@ def _q(values: Array, variances: Array, between: float) -> tuple[float, float, f
 def _between(values: Array, variances: Array, wanted: float) -> float:
     """Return the variance between units at which Q is as wanted; zero if Q is less without any."""
 
-    def excess(between: float) -> float:
-        return _q(values, variances, between)[0] - wanted
-
-    if excess(0.0) <= 0.0:
-        return 0.0
     most = float(np.sum((values - np.mean(values)) ** 2)) / wanted
-    return float(optimize.brentq(excess, 0.0, most, xtol=1e-12 * most, rtol=1e-9))
+    return _root(lambda between: _q(values, variances, between)[0] - wanted, most)
+
+
+def _root(excess: Callable[[float], float], most: float) -> float:
+    """Return where a falling function is zero; zero if it is never positive."""
+    return (
+        float(optimize.brentq(excess, 0.0, most, xtol=1e-12 * most)) if excess(0.0) > 0.0 else 0.0
+    )
 
 
 def _shared(

@@ -24,7 +24,7 @@ from identification.estimate.fleet import (
 )
 from identification.numerics.arrays import plain
 from identification.recording import Dataset, Recording, RecordingError
-from identification.result import HEADLINES, Identification
+from identification.result import Identification
 from rig.common.errors import InputError
 from rig.common.places import is_file
 from rig.common.provenance import RESULT_FILE, Provenance
@@ -38,7 +38,7 @@ from rig.sources import load_source
 FLEET_FILE, FLEET_SCHEMA = "fleet.json", "loadrig.fleet/1"
 SESSION_GAP_S = 3600.0
 """Least pause between two sessions of a unit."""
-_SHOWN = 3
+_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -145,11 +145,10 @@ def _sessions(recordings: Sequence[Recording]) -> list[list[Recording]]:
 def _warnings(
     dataset: Dataset, results: Mapping[str, Identification], found: Fleet
 ) -> Iterator[str]:
-    misfits = {n: r for n, r in results.items() if r.misfit}
-    for name, result in list(misfits.items())[:_SHOWN]:
-        yield f"{name}: {HEADLINES[result.misfit[0]]}: {result.misfit_words}"
-    if len(misfits) > _SHOWN:
-        yield f"{len(misfits) - _SHOWN} more units have a misfit"
+    if misfits := [name for name, result in results.items() if result.misfit]:
+        more = f" and {len(misfits) - _SHOWN} more" if len(misfits) > _SHOWN else ""
+        listed = f"{', '.join(misfits[:_SHOWN])}{more}"
+        yield f"{listed}: the model does not describe this unit; see its own result"
     if found.shared_p_value is not None and found.shared_p_value < LEVEL:
         yield (
             f"the units' own estimates of {', '.join(found.shared)} differ more than their "
