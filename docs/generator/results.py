@@ -17,6 +17,7 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.diagnosis import result as diagnosis
+from identification.estimate.fleet import Fleet, Odd, Population, Value
 from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
@@ -57,6 +58,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:transfer_record",
         "rig.results.identify.identify:comparison_record",
     ),
+    "rig identify of several units: fleet.json": ("rig.results.fleet:fleet_record",),
     "rig identify --plan: plan file": (
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
@@ -157,6 +159,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
             Spread,
         ),
     ),
+    "rig identify of several units: fleet.json": (Fleet, Odd, Population, Value),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from identification.diagnosis.result import ResidualTrace
 from identification.plots import fit as fit_plots
-from identification.plots import investigation, mismatch, signals
+from identification.plots import mismatch, signals
 from identification.plots.style import COMPRESSION, MAX_POINTS, arrange, continuing, png
 from identification.recording import Bench, Recording
 from identification.result import (
@@ -82,7 +82,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "convergence to the truth": lambda: fit_plots.convergence(result().stages[0], {"Mc": 7.1}),
     "intervals": lambda: fit_plots.intervals([result(), result("paper")], {"Mc": 6.9}),
     "profiles": lambda: fit_plots.profiles([PROFILE], list(result().parameters.values())),
-    "sealed": lambda: investigation.sealed(
+    "sealed": lambda: mismatch.sealed(
         {name: (np.linspace(0.0, 9.0, 20_001), *np.ones((3, 20_001))) for name in "ab"}, "N m"
     ),
     "waterfall": lambda: fit_plots.waterfall(
