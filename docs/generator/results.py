@@ -68,6 +68,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.model_file:diagnosis_record",
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
+    "rig investigate: investigate.json": (
+        "rig.investigate.page:investigation_record",
+        "rig.investigate.investigation:Investigation._next",
+    ),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
         "rig.results.identify.simulate:_case_record",
@@ -122,6 +126,11 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
         "rig.results.paper.tables:_entry",
+    ),
+    "rig prove --investigate: prove.json": (
+        "rig.investigate.proof:figures",
+        "rig.investigate.proof:proof_record",
+        "rig.investigate.proof:row_of",
     ),
     "rig prove: prove.json": (
         "rig.results.prove.score:proof_record",
@@ -201,6 +210,19 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
         }
     ),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
+    "rig investigate: investigate.json": frozenset(
+        {
+            *("run", "sequence", "reason", "seconds", "weight_changes", "state", "purpose"),
+            *("predicted_sha256", "band_held", "error_rms", "floor_rms", "verdict"),
+        }
+    ),
+    "rig prove --investigate: prove.json": frozenset(
+        {
+            *("right", "wrong", "open", "missed", "right_all", "wrong_all", "open_all"),
+            *("missed_all", "repeated_right", "repeated_wrong", "repeated_open"),
+            *("repeated_missed", "experiments_to_name", "minutes_to_name"),
+        }
+    ),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),
 }

@@ -22,6 +22,7 @@ from identification.plots.style import (
     GREY,
     MEASURED,
     MODEL,
+    ORANGE,
     SKY,
     VERMILION,
     ZERO,
