@@ -53,10 +53,7 @@ MAKES: Final[Mapping[str, Traits]] = {
         modes=PP | HM,
     ),
     "Elmo": Traits(
-        0x9A,
-        0x30923,
-        _OWN | {0x1013, 0x6079},
-        (Shown((0x22A2, 0), "H", "temperature_C", 1.0),),
+        0x9A, 0x30923, _OWN | {0x1013, 0x6079}, (Shown((0x22A2, 0), "H", "temperature_C", 1.0),)
     ),
     "Trinamic": Traits(
         0x286,
@@ -92,10 +89,7 @@ MAKES: Final[Mapping[str, Traits]] = {
         0xAB,
         0x3300,
         _OWN | {0x6073, 0x6078, 0x6079},
-        (
-            Shown((0x2201, 0), "h", "supply_V", 0.1),
-            Shown((0x2202, 0), "h", "temperature_C", 1.0),
-        ),
+        (Shown((0x2201, 0), "h", "supply_V", 0.1), Shown((0x2202, 0), "h", "temperature_C", 1.0)),
         speed_counts_per_s=0.1,
         acceleration_counts_s2=10.0,
     ),

@@ -284,7 +284,7 @@ _UNSIGNED: Mapping[str, str] = {
         "distinguished; remove `current` and add either a signed `torque`, or `voltage` with "
         "bench.resistance and bench.back_emf_constant, from which the signed current "
         "I = (U - Ke omega_motor)/R is computed"
-    ),
+    )
 }
 
 

@@ -46,15 +46,9 @@ from rig.results.document import (
     write_record,
     write_texts,
 )
-from rig.results.document import (
-    Document as Page,
-)
-from rig.results.document import (
-    Verdict as Headline,
-)
-from rig.results.document import (
-    text as shown,
-)
+from rig.results.document import Document as Page
+from rig.results.document import Verdict as Headline
+from rig.results.document import text as shown
 from rig.runs.catalogue.index import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
