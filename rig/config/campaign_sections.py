@@ -578,7 +578,7 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[ChannelName, ChannelSection] = Field(min_length=1)
+    channels: dict[ChannelName, ChannelSection]
 
     @property
     def known_load(self) -> bool:

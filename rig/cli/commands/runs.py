@@ -80,9 +80,7 @@ def _filters(command: Any) -> Any:
 
 
 _last = click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
-_folder = click.argument(
-    "folder", type=click.Path(path_type=Path, file_okay=False), default=DEFAULT_FOLDER
-)
+_folder = click.argument("folder", type=shared.FOLDER, default=DEFAULT_FOLDER)
 _page = shared.out_folder("Also write a page with figures into this folder.")
 
 
@@ -132,7 +130,7 @@ def list_(
 
 
 @command.command("show")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @_page
 @shared.result_file
 def show(run: Path, out: Path | None, json_file: Path | None) -> None:
@@ -151,7 +149,7 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 
 
 @command.command("compare")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
@@ -232,7 +230,7 @@ def trend(
 
 
 @command.command("verify")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
@@ -263,7 +261,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
 
 
 @command.command("accept")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
 @shared.junit
 @shared.result_file
