@@ -21,7 +21,7 @@ from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
 from identification.numerics.arrays import RANGED
-from identification.numerics.spread import Spread
+from identification.numerics.spread import Scatter, Spread
 from identification.result import (
     Convergence,
     Fit,
@@ -60,7 +60,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
     ),
-    "rig diagnose: diagnose.json": ("rig.results.diagnose.model_file:diagnosis_record",),
+    "rig diagnose: diagnose.json": (
+        "identification.diagnosis.result:Diagnosis.to_dict",
+        "rig.results.diagnose.model_file:diagnosis_record",
+    ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
@@ -103,6 +106,11 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.compare:trend_record",
         "rig.results.catalogue.compare:_history_record",
         "rig.results.catalogue.compare:_course_record",
+    ),
+    "rig runs study --json": (
+        "rig.results.catalogue.study:study_record",
+        "rig.results.catalogue.study:_record",
+        "rig.results.catalogue.study:studies",
     ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
@@ -155,6 +163,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
+    "rig runs study --json": (Scatter,),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
 }

@@ -87,6 +87,8 @@ class Amt21Line:
         try:
             port.discard()
             port.write(request)
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self.asked_ns = self.clock.now_ns()
@@ -122,6 +124,8 @@ class Amt21Line:
                 heard += got
                 if not got and left <= 0:
                     break
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), self.address, heard, False))

@@ -713,6 +713,8 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             port.transmit(identifier, data)
+        except DeviceError:
+            raise
         except Exception as error:
             self._check_gone(error)
             raise LinkError(
@@ -781,6 +783,8 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)
+        except DeviceError:
+            raise
         except Exception as error:
             self._check_gone(error)
             raise LinkError(

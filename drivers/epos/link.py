@@ -726,6 +726,8 @@ class EposSerialLink(Link):
         try:
             port.discard()
             port.write(frame)
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
@@ -740,6 +742,8 @@ class EposSerialLink(Link):
                 self.guard.feed()
             try:
                 data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
+            except DeviceError:
+                raise
             except Exception as error:
                 raise self._gone(error) from error
             if data:

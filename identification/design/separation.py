@@ -32,7 +32,6 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Stack, stack_of
-from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect
 from identification.effects.model import CorrectedModel
 from identification.numerics.arrays import Array
@@ -51,6 +50,10 @@ so far have too few breakaways for an estimate: one sample is not filtered.
 """
 OUTSIDE_SHARE = 0.02
 """Probability, before any test, that the missing physics is outside the catalogue."""
+REJECTED = 2.33
+"""Likelihood gap to the best hypothesis, in standard errors, from which a hypothesis is rejected:
+chance alone makes such a gap in 1 % of comparisons of two equally good ones.
+"""
 WIDE = 1.0
 """Standard deviation of a nominal constant before any recording, over its value: linear steps far
 beyond it would have no physical meaning.
@@ -64,14 +67,16 @@ class Hypothesis:
     Attributes:
         names: Names of the effects; empty if nothing is missing.
         joint: The fit.
-        preference: Preference of the data for the best hypothesis over this one, standard errors.
+        preference: Preference of the data for the best hypothesis over this one, by :func:`level`.
         weight: Relative weight of the hypothesis; the odds are weights over their sum.
+        beyond: Parameter outside its plausible range, as words; empty if all are plausible.
     """
 
     names: tuple[str, ...]
     joint: Joint
     preference: float
     weight: float
+    beyond: str = ""
 
     @property
     def name(self) -> str:
@@ -108,6 +113,16 @@ class Weighed(NamedTuple):
         total = sum(found.values())
         return {n: w / total for n, w in sorted(found.items(), key=lambda item: -item[1])}
 
+    @property
+    def rivals(self) -> list[Hypothesis]:
+        """The hypotheses that the recordings have not rejected, without the first."""
+        return [h for h in self.hypotheses[1:] if h.preference < REJECTED]
+
+    @property
+    def left(self) -> float:
+        """Mean square of what the best hypothesis leaves, over that of the noise."""
+        return float(np.mean(self.hypotheses[0].joint.residual ** 2))
+
 
 def weigh(
     found: Search, verdict: Verdict, terms: Sequence[Effect], wanted: Sequence[str] = ()
@@ -115,8 +130,8 @@ def weigh(
     """Return the hypotheses that a diagnosis leaves, with their weights.
 
     The hypotheses are the identified effects, each of them replaced by each of its rivals and by
-    the catalogue's look-alikes, and nothing. A rival has the probability of the comparison of the
-    two fits, in the diagnosis' own test.
+    the catalogue's look-alikes, and nothing. All are fitted again to the same rows with the noise
+    of the diagnosis' last step, and compared by :func:`level`; the best one may be a rival.
 
     Args:
         found: Search of the diagnosis.
@@ -125,71 +140,99 @@ def weigh(
         wanted: Names of the only hypotheses, or empty for all of them; a wanted effect that the
             diagnosis did not try is fitted.
     """
-    known = {t.name: t for t in terms}
+    base, known = found.baseline, {t.name: t for t in terms}
     named = verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) and bool(found.final.effects)
     outside = OUTSIDE_SHARE
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         outside = 1.0
     elif named and (found.p_after <= RULES.level or little_unseen(found)):
         outside = 1.0 - RULES.incomplete_confidence
-    final = found.final if named else found.baseline
-    names = tuple(e.term.name for e in final.effects)
-    hypotheses = [Hypothesis(names, final, 0.0, 1.0)]
-    for name in names:
-        hypotheses += _in_place_of(found, name, known, wanted)
+    fitted = [_Fitted(found.final if named else base)]
     if named:
-        hypotheses.append(Hypothesis((), found.baseline, math.inf, max(found.p_value, 1e-6)))
+        fitted += _in_place_of(found, known, wanted)
     else:
-        hypotheses += [
-            Hypothesis((t.name,), j, z, _weight(z, implausible(j)))
-            for t in terms
-            if t.name in wanted and (j := fitted_with(found.baseline, found.baseline, t))
-            for z in [preference(found.baseline, j)]
-        ]
-    if wanted:
-        hypotheses = [h for h in hypotheses if {*h.names} <= {*wanted}]
+        tried = (fitted_with(base, base, known[n]) for n in wanted if n in known)
+        fitted += [_Fitted(joint) for joint in tried if joint is not None]
+    best = fitted[0].joint
+    for one in fitted:
+        better = not one.beyond and level(best, one.joint) < -RULES.simpler
+        best = one.joint if better else best
+    hypotheses = []
+    for one in fitted:
+        behind = level(best, one.joint)
+        behind = min(behind, 0.0) if one.alike else behind
+        if not wanted or {*one.names} <= {*wanted}:
+            weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
+            hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))
+    if named:
+        hypotheses.append(Hypothesis((), base, math.inf, max(found.p_value, 1e-6)))
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         hypotheses = [replace(h, weight=h.weight * OUTSIDE_SHARE) for h in hypotheses]
     unseen = 0.0
     if verdict is Verdict.NOTHING_MISSING:
         # Before any recording, one effect of the catalogue is as likely as nothing.
-        so_far = present(found.baseline, terms)
+        so_far = present(base, terms)
         hidden = visibility(so_far) <= RULES.collinear_below**2 * so_far.shown[:, 0]
         unseen = float(np.mean(hidden))
-    return Weighed(tuple(sorted(hypotheses, key=lambda h: -h.weight)), outside, unseen)
+    order = sorted(hypotheses, key=lambda h: (h.joint is not best, -h.weight))
+    return Weighed(tuple(order), outside, unseen)
+
+
+def level(best: Joint, joint: Joint) -> float:
+    """Return how far the likelihood of a fit is below that of another fit to the same rows with
+    the same noise, in standard errors of the difference; negative if it is above.
+
+    The standard error of the difference of two nearly equal fits is nearly zero. Therefore the gap
+    is at most what :func:`separations` expects of fits whose squares differ by as much.
+    """
+    most = 0.5 * math.sqrt(abs(joint.cost - best.cost))
+    return max(-most, min(preference(best, joint), most)) + 0.0
+
+
+class _Fitted(NamedTuple):
+    """A fit, and whether the recordings cannot distinguish it from the identified effects although
+    its regressors differ.
+    """
+
+    joint: Joint
+    alike: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(e.term.name for e in self.joint.effects)
+
+    @property
+    def beyond(self) -> str:
+        return implausible(self.joint)
 
 
 def _in_place_of(
-    found: Search, name: str, known: Mapping[str, Effect], wanted: Sequence[str]
-) -> list[Hypothesis]:
-    """Return the hypotheses with another effect in place of one identified effect."""
-    final = found.final
-    kept = tuple(e for e in final.effects if e.term.name != name)
-    without = found.baseline.again(final.nominal, kept) if kept else found.baseline
-    rivals = {c.name: c for r in found.rounds if r.name == name for c in r.rivals}
-    others = [*rivals, *(n for n in (*EFFECTS[name].look_alikes, *wanted) if n not in rivals)]
-    out = []
-    for other in dict.fromkeys(others):
-        if other not in known or other in {e.term.name for e in final.effects}:
-            continue
-        contender = rivals.get(other)
-        joint = contender.joint if contender is not None else None
-        if joint is None or all(e.term.name != other for e in joint.effects):
-            joint = fitted_with(found.baseline, without, known[other])
-        if joint is None:
-            continue
-        tried = contender is not None and contender.joint is joint
-        preferred = preference(final, joint)
-        if contender is not None:
-            preferred = contender.preference if tried else min(preferred, 0.0)
-        names = (*(e.term.name for e in kept), other)
-        out.append(Hypothesis(names, joint, preferred, _weight(preferred, implausible(joint))))
+    found: Search, known: Mapping[str, Effect], wanted: Sequence[str]
+) -> list[_Fitted]:
+    """Return the fits in which another effect is in the place of one identified effect."""
+    final, out = found.final, list[_Fitted]()
+    here = {e.term.name for e in final.effects}
+    context = Context(final.views, final.nominal)
+    for own in final.effects:
+        kept = tuple(e for e in final.effects if e is not own)
+        without = found.baseline.again(final.nominal, kept) if kept else found.baseline
+        rivals = {c.name: c for r in found.rounds if r.name == own.term.name for c in r.rivals}
+        alike = own.term.indistinct(own.parameters(context), final.views)
+        for other in dict.fromkeys((*rivals, *own.term.look_alikes, *wanted)):
+            if other not in known or other in here:
+                continue
+            fits = [fitted_with(found.baseline, without, known[other])]
+            tried = rivals[other].joint if other in rivals else final
+            if added := [e for e in tried.effects if e.term.name == other]:
+                fits.append(found.baseline.again(tried.nominal, (*kept, *added)))
+            if possible := [j for j in fits if j is not None]:
+                out.append(_Fitted(min(possible, key=lambda j: j.cost), other in alike))
     return out
 
 
-def _weight(preferred: float, beyond: str) -> float:
+def _weight(behind: float, beyond: str) -> float:
     """Return the weight of a rival over that of the best hypothesis."""
-    share = min(1.0, probability(-preferred) / probability(preferred))
+    share = min(1.0, probability(-behind) / probability(behind))
     return min(share, RULES.implausible_confidence) if beyond else share
 
 

@@ -607,8 +607,10 @@ def _unexplained_share(
             square -= along.T @ along
     along = stack.effect_basis.T @ whole
     square -= along.T @ along
-    score = whole.T @ made
-    fitted = np.linalg.pinv(square, rcond=1e-9, hermitian=True) @ score
+    score, least = whole.T @ made, 1e-9
+    if not np.max(np.diag(square)) > np.finfo(float).smallest_normal / least:
+        return 1.0, (0.0,) * len(score)
+    fitted = np.linalg.pinv(square, rcond=least, hermitian=True) @ score
     share = 1.0 - float(score @ fitted) / max(float(made @ made), 1e-300)
     return share, tuple(fitted.tolist())
 

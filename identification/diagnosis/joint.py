@@ -25,11 +25,10 @@ from identification.diagnosis.result import Estimate
 from identification.diagnosis.rows import Equation, equations, held_voltage, least_noise, own_noise
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
-from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
-from identification.result import MOST_FLOORS
+from identification.result import MOST_FLOORS, WIDEST
 from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
@@ -439,6 +438,7 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
         at += len(moves)
         values = effect.parameters(context)
         off = _form_error(joint, stack, effect) if form else 0.0
+        absent = effect.term.absent(np.array(effect.coefficients), effect.shape, context)
         slopes = {
             name: np.array([move[name] - values[name] for move in moves]) / DERIVATIVE_STEP
             for name in values
@@ -446,11 +446,11 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                off * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
+                off * (1.0 if name.split("_")[0] in ANGLES else abs(value - absent.get(name, 0.0))),
             )
             if np.any(s != 0.0)
             else 0.0
-            for name, s in slopes.items()
+            for (name, s), value in zip(slopes.items(), values.values(), strict=True)
         }
         out.append(
             {

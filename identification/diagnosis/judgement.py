@@ -241,6 +241,9 @@ def _effect(
         )
         for r in taken.rivals
     )
+    # What distinguishes effects of the catalogue may not do so for a candidate of one's own.
+    candidates = (entry, *(r.effect.term for r in taken.rivals if r.name in open_names))
+    asked = next((e for e in candidates if e.group == "own"), entry)
     return IdentifiedEffect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
@@ -252,7 +255,7 @@ def _effect(
         where=where,
         parameters=parameters,
         rivals=rivals,
-        separating_experiment=entry.experiment,
+        separating_experiment=asked.experiment,
     )
 
 

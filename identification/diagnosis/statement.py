@@ -168,10 +168,10 @@ def statement(
             f"explains{place}; {error}"
         )
     words = "; and ".join(e.statement for e in effects)
-    if verdict is Verdict.AMBIGUOUS:
-        groups = [
-            " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
-        ]
+    groups = [
+        " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
+    ]
+    if verdict is Verdict.AMBIGUOUS and groups:
         words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     return f"{words}. {change}"
 

@@ -28,15 +28,13 @@ from identification.numerics.arrays import Array
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model, Recording
-from identification.result import Fit, Parameter, Trace, Tradeoff
+from identification.result import WIDEST, Fit, Parameter, Trace, Tradeoff
 from identification.views.nominal import Nominal
 from identification.views.predicted import Predicted, noise_floor, predicted_torque, relative, rms
 from identification.views.view import views
 
 OFFSET_SHARE = 0.1
 """Greatest half width of the interval of an identified offset, relative to the rms torque."""
-WIDEST = 0.5
-"""Half width of the 90 % interval over the value above which a parameter is not identifiable."""
 LEAST_RISE = 1e-3  # ratio of the rise to the Coulomb level below which the rise is not identifiable
 
 
@@ -415,13 +413,14 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     )
     upper = np.triu(np.abs(correlation), 1)
     line = (
-        f"least determined is {where}: relative standard deviation "
+        f"least accurate is {where}, with a standard deviation of "
         f"{100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
     )
     if len(names) > 1:
         j, k = np.unravel_index(int(np.argmax(upper)), upper.shape)
         line += (
-            f"; the greatest correlation is {correlation[j, k]:+.2f}, of {names[j]} and {names[k]}"
+            f"; the errors that depend most on each other are those of {names[j]} and {names[k]}, "
+            f"with a correlation of {correlation[j, k]:+.2f}"
         )
     return line
 

@@ -243,10 +243,11 @@ def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Fig
         for name, p in after.items():
             greatest[name] = max(p, greatest.get(name, 0.0))
     shown = sorted(greatest, key=lambda name: -greatest[name])[:FEW]
-    made, (axis,) = figure(1, height=4.0)
+    made, (axis,) = figure(1, height=5.0)
     at = np.arange(len(experiments))
-    for name in shown:
-        axis.plot(at, [after.get(name, 0.0) for after in each], marker="o", label=name)
+    beside = np.linspace(-0.1, 0.1, len(shown))  # equal curves stay visible
+    for name, off in zip(shown, beside, strict=True):
+        axis.plot(at + off, [after.get(name, 0.0) for after in each], marker="o", label=name)
     axis.set_xticks(at, experiments)
     axis.set_ylim(-0.02, 1.02)
     axis.set_xlabel("experiment")
@@ -255,30 +256,30 @@ def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Fig
     return made
 
 
-def sealed(time: Array, predicted: Array, half_width: Array, measured: Array, unit: str) -> Figure:
-    """Draw a prediction with its band and the measured torque, and their difference with the band.
+def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -> Figure:
+    """Draw a prediction with its band and the measured torque, and their difference with the band,
+    one column for each recording.
 
     Args:
-        time: s, shape (n,), in steady motion only.
-        predicted: Predicted torque, shape (n,).
-        half_width: Half width of the band, shape (n,).
-        measured: Measured torque at the same times, shape (n,).
+        traces: Name of each recording to time, s, in steady motion only, predicted torque, half
+            width of the band, and measured torque at the same times, each of shape (n,).
         unit: Unit of the torque.
     """
-    made, (top, bottom) = figure(2, height=5.5, sharex=True)
-    few = thinned(len(time))
-    t = time[few]
-    top.plot(t, measured[few], label="measured", **MEASURED)
-    top.plot(t, predicted[few], label="predicted before the run", **MODEL)
-    top.set_ylabel(f"torque ({unit})")
-    legend_above(top, 2)
-    off = (measured - predicted)[few]
-    bottom.fill_between(
-        t, -half_width[few], half_width[few], color=BLUE, alpha=0.2, label="band", linewidth=0.0
-    )
-    bottom.plot(t, off, label="measured - predicted", **MEASURED)
-    bottom.axhline(0.0, **ZERO)
-    bottom.set_ylabel(f"difference ({unit})")
-    bottom.set_xlabel("time (s)")
-    legend_above(bottom, 2)
+    made, axes = figure(2, len(traces), width=max(8.0, 5.0 * len(traces)), height=5.5, sharex=True)
+    for column, (name, trace) in enumerate(traces.items()):
+        top, bottom = axes[column :: len(traces)]
+        few = thinned(len(trace[0]))
+        t, predicted, half, measured = (values[few] for values in trace)
+        top.plot(t, measured, label="measured", **MEASURED)
+        top.plot(t, predicted, label="predicted before the run", **MODEL)
+        top.set_title(name)
+        bottom.fill_between(t, -half, half, color=BLUE, alpha=0.2, label="band", linewidth=0.0)
+        bottom.plot(t, measured - predicted, label="measured - predicted", **MEASURED)
+        bottom.axhline(0.0, **ZERO)
+        bottom.set_xlabel("time (s)")
+        if column == 0:
+            top.set_ylabel(f"torque ({unit})")
+            bottom.set_ylabel(f"difference ({unit})")
+            handles = [*top.lines, *bottom.collections, bottom.lines[0]]
+            made.legend(handles=handles, loc="outside lower center", ncols=4)
     return made

@@ -67,11 +67,11 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     judged.
     """
 
-    limits, source = _stated_limits(folder, None)
+    limits, source = stated_limits(folder, None)
     if not limits:
         return DONE
     count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
-    click.echo(f"The run is judged by {count}; this may take a minute.")
+    click.echo(f"The run is judged by its completeness and {count}; this may take a minute.")
     try:
         found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:
@@ -84,8 +84,8 @@ _OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin; see :func:`_stated_limits`."""
-    limits, source = _stated_limits(folder, file)
+    """Return the limits for a run and their origin; see :func:`stated_limits`."""
+    limits, source = stated_limits(folder, file)
     if not limits:
         raise InputError(
             f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
@@ -94,7 +94,7 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
     return limits, source
 
 
-def _stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
+def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
     """Return limits and origin: this file, else the file or the sequence of the run."""
     if (stated := _of_file(file)) is not None:
         return stated

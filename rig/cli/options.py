@@ -76,6 +76,14 @@ in_console: Decorator = click.option(
     is_flag=True,
     help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
 )
+wait: Decorator = click.option(
+    "--wait",
+    "wait_s",
+    metavar="SECONDS",
+    type=Number(min=0.0),
+    default=0.0,
+    help="Time to wait for a bench that another program uses. [default: do not wait]",
+)
 operator_name: Decorator = click.option(
     "--operator",
     "operator_name",

@@ -35,6 +35,18 @@ class Bus(Schema):
     channel: str | None = None
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
 
+    @field_validator("interface")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name == "mock":
+            return name
+        from can.interfaces import VALID_INTERFACES  # late: a simulated bench needs no adapter
+
+        known = ["mock", "epos_serial", *sorted(VALID_INTERFACES)]
+        if name not in known:
+            raise ValueError(f"unknown interface; {nearest(name, known)}")
+        return name
+
 
 class PositionLoopSection(Schema):
     """The position loop of this program, for drives that accept a speed (`csv`) or torque (`cst`).

@@ -6,11 +6,13 @@ import dataclasses
 import select
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Final
 
-from rig.common.errors import InputError
+from drivers.clock import NS, Clock, RealClock
+from rig.common.errors import InputError, InUseError
+from rig.common.locks import Refused
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import Plan
@@ -19,6 +21,7 @@ from rig.wiring.connect import Attach, connect
 from rig.wiring.devices import Devices
 
 _INHIBIT: Final = ("systemd-inhibit", "--what=sleep:idle:handle-lid-switch", "--who=rig")
+_LOOK_NS: Final = NS // 2  # time between two attempts to use a bench that another program uses
 _INHIBIT_S: Final = 2.0  # time, s, in which the system must have accepted the request to stay awake
 
 
@@ -38,6 +41,29 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
     )
 
 
+def waiting(wait_s: float, say: Callable[[str], None], clock: Clock | None = None) -> Refused:
+    """Return a function that waits for a bench that another program uses, and says so once.
+
+    When ``wait_s`` has passed, the function raises the refusal. Of several programs that wait, any
+    may be the next.
+    """
+    clock = clock or RealClock()
+    deadline_ns = clock.now_ns() + round(wait_s * NS)
+    said = False
+
+    def wait(refusal: InUseError) -> None:
+        nonlocal said
+        now_ns = clock.now_ns()
+        if now_ns >= deadline_ns:
+            raise refusal
+        if not said:
+            say(f"waiting up to {wait_s:g} s: {refusal}")
+            said = True
+        clock.sleep_until_ns(min(now_ns + _LOOK_NS, deadline_ns))
+
+    return wait
+
+
 @contextmanager
 def connected(
     stop: StopButton,
@@ -47,6 +73,7 @@ def connected(
     attach: Attach | None = None,
     torque_offset: bool = False,
     purpose: str = "rig",
+    refused: Refused | None = None,
 ) -> Iterator[Devices]:
     """Open a bench with :func:`rig.wiring.connect.connect`, so that a stop signal interrupts it.
 
@@ -55,7 +82,7 @@ def connected(
     with ExitStack() as stack:
         with stop.interruptible():
             devices = stack.enter_context(
-                connect(document, seed, realtime, attach, torque_offset, purpose)
+                connect(document, seed, realtime, attach, torque_offset, purpose, refused)
             )
             if not document.value.simulated:
                 why = stack.enter_context(kept_awake(purpose))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
 from identification.design.separation import (
+    REJECTED,
     Evidence,
     Hypothesis,
     Pair,
@@ -45,10 +46,6 @@ from rig.investigate.experiments import (
 
 MOST_HYPOTHESES = 4
 """Greatest number of hypotheses that are simulated, the most likely ones."""
-REJECTED = 3.0
-"""Preference, in standard errors, from which a hypothesis is separated: it is wrong by chance in
-one of 700 comparisons.
-"""
 WORTH_WHILE = 1.0
 """Least separation of an experiment, in standard errors, of one pair at least."""
 TARGET_BOUND = 1e-3
@@ -86,6 +83,16 @@ class Proposal:
     refused: Mapping[str, str]
 
 
+class Choice(NamedTuple):
+    """The next experiment, or None if none is worth while, and what no experiment separates: rival
+    to the expected preference, standard errors, of all parts together, if it is below
+    :data:`WORTH_WHILE`.
+    """
+
+    proposal: Proposal | None
+    indistinct: Mapping[str, float]
+
+
 class _Judged(NamedTuple):
     """A part that no hypothesis brings too near to a limit, with what it would show."""
 
@@ -103,12 +110,18 @@ class _Design:
     before: Sequence[Evidence]
     judged: Sequence[_Judged]
     refused: Mapping[str, str]
+    lost: frozenset[Pair] = frozenset()
 
     def added(self, chosen: Sequence[_Judged]) -> dict[Pair, Evidence]:
         """Return what several parts show together."""
         return {
             pair: reduce(add, (one.evidence[pair] for one in chosen)) for pair in chosen[0].evidence
         }
+
+    def apart(self, chosen: Sequence[_Judged]) -> dict[Pair, float]:
+        """Return how far an experiment separates each pair that some experiment separates."""
+        found = separations(self.before, self.added(chosen))
+        return {pair: z for pair, z in found.items() if pair not in self.lost}
 
     def shown(self, chosen: Sequence[_Judged]) -> np.ndarray:
         """Return the visibility of each effect with an experiment, over that without it."""
@@ -117,13 +130,12 @@ class _Design:
 
     def worth(self, chosen: Sequence[_Judged]) -> float:
         """Return the worth of an experiment, in factors e of the error bound."""
-        added = self.added(chosen)
-        constants = OF_CONSTANTS * information(self.before[0], added[0, 0])
+        constants = OF_CONSTANTS * information(self.before[0], self.added(chosen)[0, 0])
         if self.cover:
             gains = np.clip(np.log(self.shown(chosen)), 0.0, MOST_VISIBLE)
             return float(np.sum(gains)) + constants
         odds = [h.weight for h in self.hypotheses]
-        apart = separations(self.before, added)
+        apart = self.apart(chosen)
         now, then = (
             max(error_bound(odds, z) / sum(odds), TARGET_BOUND)
             for z in (dict.fromkeys(apart, 0.0), apart)
@@ -145,8 +157,9 @@ def propose(
     most_s: float = math.inf,
     avoided: Collection[str] = (),
     cover: bool = False,
-) -> Proposal | None:
-    """Return the next experiment, or None if no experiment separates the hypotheses enough.
+    given_up: Collection[str] = (),
+) -> Choice:
+    """Return the next experiment.
 
     Args:
         bench: The bench.
@@ -158,23 +171,32 @@ def propose(
         most_s: Longest time that the experiment may take, s.
         avoided: Names of stages that have tripped.
         cover: Whether to show what no recording has shown, instead of separating hypotheses.
+        given_up: Names of rivals that are not separated any more.
     """
+    weighed = weighed._replace(
+        hypotheses=tuple(h for h in weighed.hypotheses if h.name not in given_up)
+    )
     design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
-    if len(design.hypotheses) < 2 - cover:
-        return None
-    chosen = _best(design, most_s, progress)
-    if not chosen:
-        return None
-    apart = {} if cover else separations(design.before, design.added(chosen))
-    if not cover and max(apart.values()) < WORTH_WHILE:
-        return None
     names = [h.name for h in design.hypotheses]
+    indistinct: dict[str, float] = {}
+    if not cover and len(names) > 1 and design.judged:
+        best = design.apart(design.judged)
+        lost = {pair: z for pair, z in best.items() if z < WORTH_WHILE}
+        indistinct = {names[b]: z for (a, b), z in lost.items() if a == 0}
+        design = replace(design, lost=frozenset(lost))
+    open_pairs = cover or len(indistinct) < len(names) - 1
+    chosen = _best(design, most_s, progress) if open_pairs and design.judged else []
+    if not chosen:
+        return Choice(None, indistinct)
+    apart = {} if cover else design.apart(chosen)
+    if not cover and max(z for (a, _), z in apart.items() if a == 0) < WORTH_WHILE:
+        return Choice(None, indistinct)
     document = as_document(name, [c.part for c in chosen])
     seconds, changes = design.seconds(chosen), weight_changes(document.value.stages)
     motion = sum(s.repeats * s.duration_s for s in document.value.stages)
     weights = "no weight" if not changes else f"{changes} weight{'s' if changes > 1 else ''}"
     cost = f"{motion:.0f} s, {weights}, {seconds / 60.0:.1f} min of the bench"
-    return Proposal(
+    proposal = Proposal(
         "cover" if cover else "separate",
         document,
         f"{_purpose(design, chosen, apart)}; {cost}",
@@ -183,6 +205,7 @@ def propose(
         {(names[a], names[b]): z for (a, b), z in apart.items()},
         design.refused,
     )
+    return Choice(proposal, indistinct)
 
 
 def _simulated(

@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.design.separation import Hypothesis, Weighed, weigh
-from identification.diagnosis.result import Diagnosis, Verdict
+from identification.design.separation import REJECTED, Hypothesis, Weighed, weigh
+from identification.diagnosis.result import Diagnosis, Rival, Verdict
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
+from identification.diagnosis.statement import statement
 from identification.effects import EFFECTS, MOTION
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
@@ -29,28 +32,33 @@ from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence as Stages
 from rig.config.sequence import load_sequence, sequence_text
-from rig.investigate.choice import REJECTED, Progress, Proposal, propose, spoken
+from rig.investigate.choice import WORTH_WHILE, Choice, Progress, Proposal, propose, spoken
 from rig.investigate.confirmation import Confirmation, compare, predict
 from rig.investigate.experiments import SimulatedBench, bench_seconds, weight_changes
 from rig.planning.plan import make_plan
 from rig.results.diagnose.diagnose import Outcome, diagnose_dataset
+from rig.results.run.go_on import NOT_READ_BACK
 from rig.runs.run import load_run
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, Ending
 
 STATE_FILE = "investigation.json"
 STATE_SCHEMA = "loadrig.investigation/1"
-STOP_ODDS = 0.95
-"""Probability of the first hypothesis from which it is named: a wrong name is then to be expected
-in at most one of twenty, and in fewer if the odds are cautious.
+MOST_COVERS, LEAST_SHOWN = 4, 0.05
+"""Greatest number of experiments that show what no recording has shown, and the change of a
+hypothesis' probability from which such an experiment has shown something.
 """
-COVERING = 2
-"""Number of experiments that show what no recording has shown, before the verdict *nothing missing*
-or *outside the catalogue*.
+VAIN = 2
+"""Number of experiments that were to separate a pair and did not, after which it is given up."""
+LEAST_HELD = 0.8
+"""Share of the samples in the band of a sealed prediction below which the prediction has failed:
+the band is made for 90 %, and neighbouring samples are correlated.
 """
+MOST_REFUTED = 2
+"""Number of failed predictions after each of which the investigation goes on."""
 MOST_EXPERIMENTS = 12
 """Greatest number of experiments of an investigation without a budget."""
-PREDICTION_FILE = "prediction.json"
+PREDICTION_FILE = "prediction{}.json"
 LEAST_S = 60.0
 """Rest of the budget below which no experiment is designed, s."""
 
@@ -66,10 +74,14 @@ class Experiment:
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight was hung or taken off.
         state: ``planned`` before it runs, then the state of the run.
-        purpose: ``given``, ``first``, ``separate``, ``cover`` or ``confirm``.
+        purpose: ``given``, ``first``, ``separate``, ``cover``, ``confirm``, or ``refute``: what was
+            to confirm, did not, and is evidence now.
         odds: Probability of each hypothesis after the experiment.
         expected: Pair of hypotheses to the expected preference, standard errors.
         verdict: Verdict of the diagnosis after the experiment.
+        levels: Likelihood gap of each hypothesis to the best one after the experiment, standard
+            errors.
+        left: Mean square of what the best hypothesis leaves, over that of the noise.
     """
 
     run: str
@@ -82,6 +94,8 @@ class Experiment:
     odds: dict[str, float] = field(default_factory=dict)
     expected: dict[str, float] = field(default_factory=dict)
     verdict: str = ""
+    levels: dict[str, float] = field(default_factory=dict)
+    left: float = 1.0
 
 
 @dataclass
@@ -98,7 +112,11 @@ class State:
         experiments: All experiments in order.
         ended: Why no further experiment is run; empty while the investigation goes on.
         confirmation: Prediction of the confirming experiment and what came of it.
-        cannot_separate: Pairs that no experiment of the bench separates, and what would.
+        refuted: The same of the predictions that failed, each sealed in a file of its own.
+        cannot_separate: Pairs that are not separated, why no experiment goes on, and what would
+            separate them.
+        indistinct: Pair to the preference, standard errors, that all experiments of the bench
+            together would show.
     """
 
     bench: dict[str, str]
@@ -110,7 +128,9 @@ class State:
     experiments: list[Experiment] = field(default_factory=list)
     ended: str = ""
     confirmation: dict[str, Any] = field(default_factory=dict)
+    refuted: list[dict[str, Any]] = field(default_factory=list)
     cannot_separate: list[dict[str, Any]] = field(default_factory=list)
+    indistinct: dict[str, float] = field(default_factory=dict)
     schema: str = STATE_SCHEMA
 
     @property
@@ -123,6 +143,19 @@ class State:
         """Rest of the budget, s."""
         budget = math.inf if self.budget_min is None else 60.0 * self.budget_min
         return budget - self.bench_seconds
+
+    def given_up(self, first: str, rival: str) -> str:
+        """Return why two hypotheses are not separated any more; empty if they still are."""
+        pair = joined(first, rival)
+        if pair in self.indistinct:
+            return f"all experiments together would show {self.indistinct[pair]:.1f} sigma"
+        weighed = [e for e in self.experiments if e.levels]
+        vain = 0
+        for before, e in pairwise(weighed):
+            hoped = max((e.expected.get(p, 0.0) for p in (pair, joined(rival, first))), default=0.0)
+            gaps = [x.levels.get(rival, math.inf) - x.levels.get(first, 0.0) for x in (before, e)]
+            vain += hoped >= WORTH_WHILE and not abs(gaps[1] - gaps[0]) >= WORTH_WHILE
+        return f"{vain} experiments that were to separate them did not" if vain >= VAIN else ""
 
     def save(self, folder: Path) -> None:
         """Replace the state file as a whole."""
@@ -208,22 +241,72 @@ def judge(
     Raises:
         InputError: The recordings cannot be diagnosed.
     """
+    return judge_recordings(read_runs(folders), folders[0], seed, question, progress, refine)
+
+
+def judge_recordings(
+    dataset: Dataset,
+    source: Path,
+    seed: int,
+    question: Sequence[str],
+    progress: Progress,
+    refine: bool = False,
+) -> Judgement:
+    """Diagnose recordings as :func:`judge`; ``source`` is the place of the first of them."""
     searches: list[Search] = []
     outcome = diagnose_dataset(
-        read_runs(folders),
-        folders[0],
+        dataset,
+        source,
         seed,
         progress=progress,
         refine=refine,
         searched=searches.append,
     )
     if not searches:
-        raise InputError(f"{folders[0]}: an investigation needs recordings of the drive's torque")
+        raise InputError(f"{source}: an investigation needs recordings of the drive's torque")
     progress("weighing hypotheses", 0.0)
     found = searches[0]
     flexible = any(np.any(v.twist) for v in found.baseline.views)
     terms = [t.on_the_joint() for t in MOTION] if flexible else MOTION
-    return Judgement(outcome, found, weigh(found, outcome.diagnosis.verdict, terms, question))
+    weighed = weigh(found, outcome.diagnosis.verdict, terms, question)
+    concluded = concluded_from(outcome.diagnosis, weighed)
+    return Judgement(dataclasses.replace(outcome, diagnosis=concluded), found, weighed)
+
+
+def concluded_from(diagnosis: Diagnosis, weighed: Weighed) -> Diagnosis:
+    """Return a diagnosis whose verdict, rivals and confidence follow from the weighed hypotheses.
+
+    Effects are named if they are the best hypothesis and every other one is rejected.
+    """
+    if not diagnosis.effects:
+        return diagnosis
+    names, odds = {e.name for e in diagnosis.effects}, weighed.odds
+    alone = {*weighed.hypotheses[0].names} == names and not weighed.rivals
+    verdict = Verdict.NAMED if alone else Verdict.AMBIGUOUS
+    effects = []
+    for e in diagnosis.effects:
+        others = [
+            (other, h)
+            for h in weighed.hypotheses
+            if e.name not in h.names
+            for other in {*h.names} - names
+        ]
+        rivals = tuple(
+            Rival(
+                other,
+                odds[h.name],
+                ""
+                if h.preference < REJECTED
+                else f"the likelihood is lower by {h.preference:.1f} standard errors",
+            )
+            for other, h in others
+        )
+        group = (e.name, *(r.name for r in rivals if not r.why_not))
+        sure = sum(odds[h.name] for h in weighed.hypotheses if e.name in h.names)
+        effects.append(dataclasses.replace(e, rivals=rivals, alias_group=group, confidence=sure))
+    d = diagnosis
+    said = statement(verdict, effects, d.fit, d.location, d.p_value, ())
+    return dataclasses.replace(d, verdict=verdict, effects=tuple(effects), statement=said)
 
 
 CarryOut = Callable[[Path, Path], None]
@@ -267,15 +350,41 @@ class Investigation:
         self._settle_unfinished()
         if self.state.first and all(e.state != "done" for e in self.state.experiments):
             self._first()
-        judged = self._judge()
-        while not self.state.ended and (proposal := self._next(judged)) is not None:
-            self._experiment(proposal)
+        state = self.state
+        while True:
             judged = self._judge()
-        self.state.save(self._folder)
-        final = judge(self._done(), self.state.seed, self.state.question, self._progress, True)
-        if not self._confirming() and self.state.left_s > 0.0:
-            self._confirm(final)
-        return final, self._compare()
+            while not state.ended and (proposal := self._next(judged)) is not None:
+                self._experiment(proposal)
+                judged = self._judge()
+            state.save(self._folder)
+            final = judge(self._done(), state.seed, state.question, self._progress, True)
+            if not self._confirming() and state.left_s > 0.0:
+                self._confirm(final)
+            found = self._compare()
+            if found is None or found.band_held >= LEAST_HELD or not self._refuted():
+                return final, found
+
+    def _refuted(self) -> bool:
+        """Make a confirming experiment whose prediction has failed evidence; return whether the
+        investigation goes on.
+        """
+        state = self.state
+        again = sum(e.purpose == "refute" for e in state.experiments) < MOST_REFUTED
+        self._say(
+            f"the sealed band held {state.confirmation['band_held']:.0%} only"
+            + (": the recording becomes evidence" if again else "")
+        )
+        if again and not state.confirm:
+            self._confirming()[-1].purpose = "refute"
+            state.ended, state.refuted = "", [*state.refuted, state.confirmation]
+            state.confirmation = {}
+            state.save(self._folder)
+        return again and not state.confirm
+
+    @property
+    def _prediction(self) -> Path:
+        number = len(self.state.refuted) + 1
+        return self._folder / PREDICTION_FILE.format("" if number == 1 else f"-{number}")
 
     def _confirming(self) -> list[Experiment]:
         return [e for e in self.state.experiments if e.purpose == "confirm"]
@@ -343,14 +452,18 @@ class Investigation:
     def _experiment(self, proposal: Proposal) -> None:
         p = proposal
         e = _planned(p.reason, p.seconds, p.weight_changes, p.purpose)
-        e.expected = {" | ".join(pair): z for pair, z in p.apart.items()}
+        e.expected = {joined(*pair): z for pair, z in p.apart.items()}
         self._say(p.reason)
         self._carry(e, p.sequence.value)
 
     def _judge(self) -> Judgement:
         judged = judge(self._done(), self.state.seed, self.state.question, self._progress)
+        weighed = judged.weighed
         last = [e for e in self.state.experiments if e.purpose != "confirm"][-1]
-        last.odds, last.verdict = judged.weighed.odds, judged.diagnosis.verdict.value
+        last.odds, last.verdict = weighed.odds, judged.diagnosis.verdict.value
+        gaps = {h.name: h.preference for h in weighed.hypotheses}
+        last.levels = {name: gap for name, gap in gaps.items() if math.isfinite(gap)}
+        last.left = weighed.left
         self.state.save(self._folder)
         shown = ", ".join(f"{spoken(n)} {p:.0%}" for n, p in [*last.odds.items()][:4])
         self._say(f"{last.run}: {last.verdict.replace('_', ' ')}; odds: {shown}")
@@ -358,42 +471,69 @@ class Investigation:
 
     def _next(self, judged: Judgement) -> Proposal | None:
         """Return the next experiment, or None, with the reason in the state."""
-        state, verdict = self.state, judged.diagnosis.verdict
+        state, weighed = self.state, judged.weighed
+        first, rivals = weighed.hypotheses[0], weighed.rivals
         designed = [e for e in state.experiments if e.purpose in ("separate", "cover")]
-        covered = sum(e.purpose == "cover" for e in designed)
-        rivals = open_rivals(judged.weighed)
-        certain = max(judged.weighed.odds.values()) >= STOP_ODDS
-        state.cannot_separate = []
-        found = None
-        if verdict is Verdict.NAMED and not rivals and certain and designed:
-            state.ended = f"the odds are at least {STOP_ODDS:.0%} and every rival is separated"
-        elif state.left_s < LEAST_S:
-            state.ended = f"the budget of {state.budget_min:g} minutes is spent"
+        found, why = None, ""
+        if state.left_s < LEAST_S:
+            why = f"the budget of {state.budget_min:g} minutes is spent"
         elif len(designed) >= MOST_EXPERIMENTS:
-            state.ended = f"{MOST_EXPERIMENTS} experiments did not suffice"
+            why = f"{MOST_EXPERIMENTS} experiments did not suffice"
         else:
-            found = next_experiment(
-                self._bench,
-                judged,
-                state.seed,
-                len(state.experiments) + 1,
-                self._progress,
-                state.left_s,
-                self._tripped(),
-                covered < COVERING and not (rivals and designed),
-            )
-        if rivals and (found is None or found.purpose == "cover"):
-            first = judged.weighed.hypotheses[0]
-            state.cannot_separate = [
-                {"names": [first.name, r.name], "needs": needs(first, r)} for r in rivals
-            ]
-        if found is None and not state.ended:
-            state.ended = (
+            vain = {r.name for r in rivals if state.given_up(first.name, r.name)}
+            if len(vain) < len(rivals):
+                found = self._proposed(judged, vain, cover=False)
+            if found is None and self._cover_is_worth_while():
+                found = self._proposed(judged, vain, cover=True)
+        state.cannot_separate = [
+            {
+                "names": [first.name, r.name],
+                "why": state.given_up(first.name, r.name) or why or "no experiment is worth while",
+                "needs": needs(first, r),
+            }
+            for r in rivals
+            if found is None or found.purpose == "cover"
+        ]
+        if found is None:
+            state.ended = why or (
                 "no experiment within limits, weights and channels of this bench separates the rest"
                 if rivals
-                else f"{covered} experiments that show what the others did not changed nothing"
+                else "every rival is rejected, and experiments that show what the others did not "
+                "changed nothing"
             )
         return found
+
+    def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
+        """Return an experiment that separates, or one that covers; note what none separates."""
+        state = self.state
+        chosen = next_experiment(
+            self._bench,
+            judged,
+            state.seed,
+            len(state.experiments) + 1,
+            self._progress,
+            state.left_s,
+            self._tripped(),
+            cover,
+            vain,
+        )
+        first = judged.weighed.hypotheses[0].name
+        state.indistinct |= {joined(first, r): z for r, z in chosen.indistinct.items()}
+        return chosen.proposal
+
+    def _cover_is_worth_while(self) -> bool:
+        """Whether the last experiment that covers has shown something, or none has covered since
+        the last failed prediction.
+        """
+        weighed = [e for e in self.state.experiments if e.odds]
+        covers = [k for k, e in enumerate(weighed) if e.purpose == "cover"]
+        refuted = [k for k, e in enumerate(weighed) if e.purpose == "refute"]
+        if not covers or max(refuted, default=-1) > covers[-1]:
+            return len(covers) < MOST_COVERS
+        before, after = weighed[covers[-1] - 1], weighed[covers[-1]]
+        moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in after.odds.items())
+        more = moved >= LEAST_SHOWN or after.left > RULES.tested_from * before.left
+        return more and len(covers) < MOST_COVERS
 
     def _tripped(self) -> list[str]:
         """Return the names of the stages that have tripped."""
@@ -412,7 +552,7 @@ class Investigation:
         if prediction is None:
             self._say("no confirming experiment: the model of the result cannot be simulated")
             return
-        path = self._folder / PREDICTION_FILE
+        path = self._prediction
         write_json(path, prediction.sealed)
         state.confirmation = {"predicted_sha256": sha256_file(path)}
         self._say(f"prediction sealed: SHA-256 {state.confirmation['predicted_sha256']}")
@@ -424,7 +564,7 @@ class Investigation:
         runs = [e for e in self._confirming() if e.state == Ending.DONE.value]
         if not runs:
             return None
-        path, digest = self._folder / PREDICTION_FILE, self.state.confirmation["predicted_sha256"]
+        path, digest = self._prediction, self.state.confirmation["predicted_sha256"]
         if (now := sha256_file(path)) != digest:
             raise InputError(
                 f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
@@ -437,6 +577,16 @@ class Investigation:
 
 def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:
     return Experiment("", "", reason, seconds, changes, purpose=purpose)
+
+
+def drive_after(folder: Path, state: State) -> str:
+    """Return how the last experiment of an investigation left the drive, as text."""
+    runs = [e.run for e in state.experiments if e.sequence and is_file(folder / e.run / RUN_FILE)]
+    if not runs:
+        return "no experiment has begun: this investigation has not energised the drive"
+    off = read_record(folder / runs[-1]).de_energised
+    words = "the drive was read back de-energised" if off else NOT_READ_BACK
+    return f"no experiment is under way; after the last one, {runs[-1]}, {words}"
 
 
 def given_run(folder: Path) -> Experiment:
@@ -457,23 +607,20 @@ def next_experiment(
     progress: Progress,
     most_s: float = math.inf,
     avoided: Sequence[str] = (),
-    cover: bool = True,
-) -> Proposal | None:
-    """Return the experiment that separates the open hypotheses, or else, with ``cover``, one that
-    shows what no recording has shown; None if there is none. Arguments as in :func:`propose`.
+    cover: bool = False,
+    given_up: Collection[str] = (),
+) -> Choice:
+    """Return the experiment that separates the open hypotheses or, with ``cover``, one that shows
+    what no recording has shown. Arguments as in :func:`propose`.
     """
-    for covering in [False] * bool(open_rivals(judged.weighed)) + [True] * cover:
-        rng, name = np.random.default_rng([seed, number]), f"experiment-{number}"
-        hertz, weighed = judged.diagnosis.fit.bandwidth_Hz, judged.weighed
-        found = propose(bench, weighed, hertz, rng, progress, name, most_s, avoided, covering)
-        if found is not None:
-            return found
-    return None
+    rng, name = np.random.default_rng([seed, number]), f"experiment-{number}"
+    hertz, weighed = judged.diagnosis.fit.bandwidth_Hz, judged.weighed
+    return propose(bench, weighed, hertz, rng, progress, name, most_s, avoided, cover, given_up)
 
 
-def open_rivals(weighed: Weighed) -> list[Hypothesis]:
-    """Return the hypotheses that the recordings have not separated from the most likely one."""
-    return [h for h in weighed.hypotheses[1:] if h.preference < REJECTED]
+def joined(first: str, rival: str) -> str:
+    """Return two hypotheses as one key."""
+    return f"{first} | {rival}"
 
 
 def needs(first: Hypothesis, rival: Hypothesis) -> str:

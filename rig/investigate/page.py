@@ -11,7 +11,7 @@ from identification.plots import mismatch as plots
 from rig.common.tables import number, percent
 from rig.investigate.choice import spoken
 from rig.investigate.confirmation import BAND, Confirmation
-from rig.investigate.investigation import Judgement, State, open_rivals
+from rig.investigate.investigation import Judgement, State
 from rig.results.diagnose.model_file import INVESTIGATE_SCHEMA
 from rig.results.document import (
     Document,
@@ -27,16 +27,18 @@ from rig.results.document import (
 
 PAGE_FILE = "investigation.html"
 RESULT_FILE = "investigate.json"
-_KEYS = ("run", "sequence", "reason", "seconds", "weight_changes", "state", "purpose", "odds")
+_KEYS = (
+    "run",
+    "sequence",
+    "reason",
+    "seconds",
+    "weight_changes",
+    "state",
+    "purpose",
+    "odds",
+    "verdict",
+)
 _CONFIRMED = ("predicted_sha256", "band_held", "error_rms", "floor_rms")
-
-
-def verdict_of(judged: Judgement) -> Outcomes:
-    """Return the verdict: an effect with a rival that is not separated is ambiguous."""
-    verdict = judged.diagnosis.verdict
-    if verdict is Outcomes.NAMED and open_rivals(judged.weighed):
-        return Outcomes.AMBIGUOUS
-    return verdict
 
 
 def investigation_record(state: State, judged: Judgement) -> dict[str, Any]:
@@ -47,7 +49,6 @@ def investigation_record(state: State, judged: Judgement) -> dict[str, Any]:
     return {
         **judged.outcome.record(),
         "schema": INVESTIGATE_SCHEMA,
-        "verdict": verdict_of(judged).value,
         "odds": judged.weighed.odds,
         "ended": state.ended,
         "experiments": [{k: asdict(e)[k] for k in _KEYS} for e in state.experiments],
@@ -88,7 +89,7 @@ def investigation_document(
 def _summary(
     state: State, judged: Judgement, confirmation: Confirmation | None
 ) -> Iterator[Section]:
-    head = f"verdict: {verdict_of(judged).value.replace('_', ' ')}"
+    head = f"verdict: {judged.diagnosis.verdict.value.replace('_', ' ')}"
     yield Section(head, (Paragraph(judged.diagnosis.statement),))
     yield Section("", (_experiments(state),))
     yield Section("", (_odds(judged),))
@@ -105,7 +106,7 @@ def _sections(
     confirmation: Confirmation | None,
     files: tuple[tuple[str, str], ...],
 ) -> Iterator[Section]:
-    verdict = verdict_of(judged)
+    verdict = judged.diagnosis.verdict
     tone: Literal["good", "found", "open"]
     tone = "good" if verdict is Outcomes.NOTHING_MISSING else "found"
     open_end = verdict in (Outcomes.AMBIGUOUS, Outcomes.OUTSIDE_CATALOGUE)
@@ -113,14 +114,17 @@ def _sections(
     shown = Verdict(headline, judged.diagnosis.statement, "open" if open_end else tone)
     drawn = [e for e in state.experiments if e.odds]
     caption = "Probability of each hypothesis after each experiment"
-    figure = plots.odds([e.run.partition("-")[0] for e in drawn], [e.odds for e in drawn])
-    yield Section("", (shown, Picture.of("odds", caption, figure, lead=True)))
+    figure = plots.odds(
+        [e.run.partition("-")[0] for e in drawn],
+        [{spoken(n): p for n, p in e.odds.items()} for e in drawn],
+    )
+    yield Section("", (shown, Picture.of("odds", caption, figure)))
     yield Section("Experiments", (_experiments(state), *_reasons(state)))
     yield Section("Odds", (_odds(judged),))
     if confirmation is not None:
         unit = judged.found.baseline.unit
         caption = "Torque predicted before the confirming experiment, and measured in it"
-        picture = Picture.of("sealed", caption, plots.sealed(*confirmation.trace, unit))
+        picture = Picture.of("sealed", caption, plots.sealed(confirmation.traces, unit))
         digest = Note(f"SHA-256 of the prediction: {state.confirmation['predicted_sha256']}")
         yield Section("Sealed prediction", (Paragraph(_confirmed(confirmation)), digest, picture))
     if state.cannot_separate:
@@ -166,10 +170,11 @@ def _odds(judged: Judgement) -> Table:
 
 def _confirmed(found: Confirmation) -> str:
     return (
-        f"The sealed {BAND:.0%} band held {found.band_held:.0%} of {found.samples} samples; error "
+        f"The sealed {BAND:.0%} band held {found.band_held:.0%} of the {found.samples} samples in "
+        f"which the joint moved steadily, of {found.predicted} predicted; error "
         f"{found.error_rms:.3g} N m rms, noise floor {found.floor_rms:.3g} N m."
     )
 
 
 def _apart(pair: dict[str, Any]) -> str:
-    return f"{' from '.join(map(spoken, pair['names']))}: {pair['needs']}"
+    return f"{' from '.join(map(spoken, pair['names']))}, because {pair['why']}: {pair['needs']}"

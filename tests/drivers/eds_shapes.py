@@ -1,7 +1,5 @@
 """Random EDS files, refused with their name or read as they state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path

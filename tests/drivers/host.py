@@ -1,7 +1,5 @@
 """A simulated bench with the host's drivers on it, for tests."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What is known of makers' drives: the packaged files, and files that say something wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

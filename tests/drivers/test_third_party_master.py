@@ -1,7 +1,5 @@
 """The simulated drives of each make, driven by the master of the library ``canopen``."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,9 +98,7 @@ def test_it_enables_moves_and_disables(pair: tuple[BaseNode402, SimulatedBench])
     assert bench.drive.power_state not in POWERED
 
 
-def test_its_quick_stop_brakes_and_takes_the_power_off(
-    pair: tuple[BaseNode402, SimulatedBench],
-) -> None:
+def test_its_quick_stop_brakes_and_takes_the_power_off(pair):
     node, bench = pair
     enable(node)
     move(node, 1000)

@@ -1,7 +1,5 @@
 """The test for drift and steps over histories of constants: its rate of false alarms and power."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Faults of drives of common makes over CANopen, where they differ from the simulated drive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial

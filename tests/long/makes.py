@@ -9,8 +9,6 @@ drive in these modes. Over the serial line of the EPOS4 run the objects of three
 drives speak that protocol.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """Draws simulated benches, right ones and such with a mistake in units, signs or constants."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable
@@ -134,10 +132,7 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
         "mock": {
             "motor": motor,
             "joint": joint,
-            "loops": {
-                "position_gain": float(rng.uniform(20, 70)),
-                "current_limit_A": limit_A,
-            },
+            "loops": {"position_gain": float(rng.uniform(20, 70)), "current_limit_A": limit_A},
             "sensing": sensing,
             "supply_V": supply,
         },

@@ -1,7 +1,5 @@
 """Made-up trials and diagnoses that the workers of ``test_cluster`` can import."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """``rig commission``: step by step, at low limits."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -103,9 +101,7 @@ def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake:
 
 
 @pytest.mark.parametrize("mistake", FOUND)
-def test_what_no_value_corrects_ends_it(
-    here: Path, mistake: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_no_value_corrects_ends_it(here, mistake, monkeypatch):
     true = watch_machines(monkeypatch)
     ended, record = commissioned("--angle", "0", "--mistake", mistake)
     assert (ended, record["state"]) == (1, "tripped")
@@ -124,9 +120,7 @@ def test_what_no_value_corrects_ends_it(
 
 @pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
 @pytest.mark.usefixtures("elsewhere")
-def test_a_wrong_sign_is_found_on_every_kind_of_drive(
-    source: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_sign_is_found_on_every_kind_of_drive(source, monkeypatch):
     mistake = "phases_swapped"
     true = watch_machines(monkeypatch)
     options = ["commission", source, "--yes", "--angle", "0", "--out", "out", "--mistake", mistake]
@@ -141,9 +135,7 @@ def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     assert true.travel_deg < SMALL_DEG
 
 
-def test_what_nothing_protects_is_said_once_at_the_start(
-    elsewhere: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_nothing_protects_is_said_once_at_the_start(elsewhere, capsys):
     """A corrected value connects the bench a second time."""
     variant(elsewhere, *SLOW, ("servo: {node: 1", "servo: {stops_alone: false, node: 1"))
     ended, record = commissioned("--angle", "0", "--mistake", "zero_off")
@@ -195,9 +187,7 @@ def test_a_real_bench_takes_no_yes(here: Path, capsys: pytest.CaptureFixture[str
     ("error", "ended", "state"),
     [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
 )
-def test_however_a_step_ends_the_drive_is_read_back_as_off(
-    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
-) -> None:
+def test_however_a_step_ends_the_drive_is_read_back_as_off(here, monkeypatch, error, ended, state):
     go = Setup.go
 
     def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
@@ -215,9 +205,7 @@ def test_however_a_step_ends_the_drive_is_read_back_as_off(
 
 
 @pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
-def test_a_stop_during_the_step_that_stops_ends_it(
-    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
-) -> None:
+def test_a_stop_during_the_step_that_stops_ends_it(here, monkeypatch, number, brakes):
     """Ctrl-C leaves the drive its ramp; SIGQUIT takes the power off at once."""
     order, watch = Cia402Servo.quick_stop, Cycle.watch
     orders: list[int] = []
@@ -264,9 +252,7 @@ def test_a_value_is_set_and_the_rest_is_kept(change: Change, text: str) -> None:
     assert patched(FLOW, (change,)) == text
 
 
-def test_a_recording_that_fails_takes_the_power_off_first(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_that_fails_takes_the_power_off_first(here, monkeypatch, capsys):
     sample = Recorder.sample
 
     def full(self: Recorder, time_ns: int, *values: Any) -> None:

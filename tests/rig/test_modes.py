@@ -1,7 +1,5 @@
 """Benches whose drive takes speeds, torques or set-points, and faults of makes' drives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

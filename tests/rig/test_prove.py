@@ -1,7 +1,5 @@
 """The proof's machinery, with made-up diagnoses: sealed before, opened after, scored."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -259,9 +257,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_proof_from_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_proof_from_the_command_line(tmp_path, monkeypatch, capsys):
     opened: list[str] = []
     diagnosing: list[str] = []
 
@@ -305,9 +301,7 @@ def test_a_proof_from_the_command_line(
 @pytest.mark.parametrize(
     "content", ["", "[]", '{"settings": {}}', '{"settings": {}, "seals": {"x": 1}}', "\0"]
 )
-def test_a_damaged_proof_is_not_gone_on_with(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
-) -> None:
+def test_a_damaged_proof_is_not_gone_on_with(tmp_path, capsys, content):
     (tmp_path / "proof.json").write_text(content)
     assert status(["prove", "--rigs", "1", "--out", str(tmp_path)]) == 2
     assert str(tmp_path / "proof.json") in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """Blind rigs, of friction and of gas: what is drawn, and that nothing written tells it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

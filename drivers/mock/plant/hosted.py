@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, MachineError
+from drivers.errors import CORRECT_MACHINE, ConfigurationError, MachineError
 from drivers.mock.plant.effects.own import user_module
 from drivers.mock.plant.machine import DrivenMachine, Latches, Truth
 from drivers.mock.plant.parts import constants, loops
@@ -230,8 +230,8 @@ class HostedMachine(DrivenMachine):
     def _fail(self, words: str, cause: BaseException | None = None) -> None:
         """Switch the power off, and raise the error or tell it."""
         self.failure = MachineError(
-            f"{words}, {self._run_s:.6g} s after the reset; correct the machine: from there on it "
-            "stands still without power"
+            f"{words}, {self._run_s:.6g} s after the reset; {CORRECT_MACHINE}; the machine stands "
+            "still without power from there on"
         )
         self.failure.__cause__ = cause
         s = self._s

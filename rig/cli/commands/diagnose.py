@@ -168,9 +168,17 @@ FORMATS = ("python", "c", "fmu", "modelica", "mjcf", "simulink", "yaml")
 @click.option(
     "--fmi", type=click.Choice(["2", "3"]), default="3", help="Version of FMI of --format fmu."
 )
+@shared.own_effects
 @shared.out_folder("Folder for the files. [default: ./NAME_FORMAT]")
 @shared.result_file
-def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path | None) -> None:
+def model(
+    result: Path,
+    kind: str,
+    fmi: str,
+    effects_file: Path | None,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
     """Write the model of RESULT for other tools: RESULT is a result file of rig identify or rig
     diagnose, or the folder of one.
 
@@ -186,14 +194,17 @@ def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path |
       rig model runs/demo --format c
       rig model runs/demo/diagnosis/diagnose.json --format fmu --fmi 2 --out simulation
       rig model runs/demo --format yaml
+      rig model runs/demo --effects mine.py
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.errors import InputError
     from rig.common.places import require_folder, write_asked
+    from rig.results.diagnose.own_effects import read_effects
     from rig.results.document import write_texts
     from rig.results.model import exported, read_model
 
-    read = read_model(result)
+    own = read_effects(effects_file)
+    read = read_model(result, own)
     folder = out or Path(f"{read.name}_{kind}")
     require_folder(folder, "--out")
     found = exported(read, kind, int(fmi))
@@ -213,6 +224,7 @@ def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path |
         json_file,
         {
             "result": str(read.path),
+            **own.record,
             "format": kind,
             "files": sorted(found.files),
             "checks": dict(found.checks),

@@ -4,6 +4,7 @@ experiment, or only proposes it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,12 +83,20 @@ def investigate(
       rig investigate --resume --out investigation --bench practical --yes
     """
     # Imported late: --help must not wait for the numerics.
+    from drivers.errors import DeviceError
+    from rig.cli.crash import note_drive
     from rig.common.errors import InputError
     from rig.common.locks import hold_folder
     from rig.common.places import require_folder
     from rig.common.provenance import sha256_file
     from rig.config.bench import load_bench
-    from rig.investigate.investigation import STATE_FILE, Investigation, State, load_state
+    from rig.investigate.investigation import (
+        STATE_FILE,
+        Investigation,
+        State,
+        drive_after,
+        load_state,
+    )
     from rig.wiring.devices import bench_line, until_the_end
 
     folder = out or Path("investigation")
@@ -110,10 +119,17 @@ def investigate(
         _take_sources(state, sources, result)
     folder.mkdir(parents=True, exist_ok=True)
     until_the_end(hold_folder(folder, "rig investigate"))
-    with _Progress() as progress:
-        runner = _runner(bench_file, state, yes, operator_name, progress)
-        investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
-        judged, confirmation = investigation.run()
+    try:
+        with _Progress() as progress:
+            runner = _runner(bench_file, state, yes, operator_name, progress)
+            investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
+            judged, confirmation = investigation.run()
+    except (KeyboardInterrupt, click.Abort, DeviceError) as stop:
+        state.save(folder)
+        given = ["--bench", bench, "--out", str(folder), *["--yes"] * yes]
+        again = shlex.join(["rig", "investigate", "--resume", *given])
+        note_drive(stop, f"{drive_after(folder, state)}\ngo on with: {again}")
+        raise
     return _report(folder, state, judged, confirmation, json_file)
 
 
@@ -296,7 +312,10 @@ def design(
     bench_file = load_bench(bench)
     with ShareBar() as bar:
         judged = judge(runs, seed, _effects(question), bar)
-        found = next_experiment(SimulatedBench.of(bench_file), judged, seed, len(runs) + 1, bar)
+        simulated, number = SimulatedBench.of(bench_file), len(runs) + 1
+        found = next_experiment(simulated, judged, seed, number, bar).proposal
+        if found is None:
+            found = next_experiment(simulated, judged, seed, number, bar, cover=True).proposal
     record = {
         **heading("loadrig.design/1"),
         "seed": seed,

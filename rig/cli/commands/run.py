@@ -18,7 +18,7 @@ from rig.common.places import require_folder, usable, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.attendance import connected, require_attendance
+from rig.control.attendance import connected, require_attendance, waiting
 from rig.control.operator import operator_for
 from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
@@ -86,6 +86,7 @@ from rig.wiring.preflight import require_startable
     "prompt_timeout_s of the bench file]",
 )
 @shared.in_console
+@shared.wait
 @shared.acceptance("those of the sequence")
 @shared.junit
 @shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
@@ -105,6 +106,7 @@ def run(
     reset_fault: bool,
     prompt_timeout_s: float | None,
     in_console: bool,
+    wait_s: float,
     acceptance: Path | None,
     junit_file: Path | None,
     json_file: Path | None,
@@ -174,7 +176,9 @@ def run(
         click.echo(describe_dry_run(computed))
         write_asked(json_file, dry_run_record(computed))
         return BAD_VERDICT if load.problems else DONE
-    status = _carry_out(inputs, plan, path, yes, patience_s, in_console, json_file, injector)
+    status = _carry_out(
+        inputs, plan, path, yes, patience_s, in_console, wait_s, json_file, injector
+    )
     return accept_at_the_end(path, junit_file) if status == DONE else status
 
 
@@ -189,6 +193,7 @@ def run(
     "the drive has then tripped."
 )
 @shared.in_console
+@shared.wait
 @shared.acceptance("those of the run")
 @shared.junit
 @shared.record_file("Also write run.json to this file.")
@@ -200,6 +205,7 @@ def resume(
     first_pass: bool | None,
     reset_fault: bool,
     in_console: bool,
+    wait_s: float,
     acceptance: Path | None,
     junit_file: Path | None,
     json_file: Path | None,
@@ -255,7 +261,7 @@ def resume(
     require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     patience_s = resumed.bench.value.prompt_timeout_s
-    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, json_file)
+    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, wait_s, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -272,6 +278,7 @@ def _carry_out(
     yes: bool,
     patience_s: float | None,
     in_console: bool,
+    wait_s: float,
     json_file: Path | None,
     injector: FaultInjector | None = None,
 ) -> int:
@@ -287,8 +294,9 @@ def _carry_out(
     ):
         attach = None if injector is None else injector.attach
         offset = inputs.feedforward is not None
+        patience = waiting(wait_s, screen.say)
         with connected(
-            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose
+            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose, patience
         ) as devices:
             say_taken_over(devices.lock, screen)
             if inputs.resumed is None:

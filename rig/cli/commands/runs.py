@@ -1,4 +1,4 @@
-"""``rig runs``: lists, shows, compares and verifies recorded runs."""
+"""``rig runs``: lists, shows, compares, studies, verifies and accepts recorded runs."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 
 @click.group("runs")
 def command() -> None:
-    """List, show, compare, accept and verify recorded runs.
+    """List, show, compare, study, accept and verify recorded runs.
 
     An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
@@ -227,6 +227,53 @@ def trend(
         )
     _write(json_file, lambda: trend_record(found))
     _show(trend_document(found), out)
+
+
+@command.command("study")
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@_filters
+@_last
+@shared.acceptance("those of the last run")
+@shared.seed("Seed of the order of the draws for the intervals.")
+@shared.out_folder("Also write a page into this folder.")
+@shared.result_file
+def study(
+    folders: tuple[Path, ...],
+    last: int | None,
+    acceptance: Path | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+    **given: Any,
+) -> None:
+    """Study how far the constants of one unit repeat in the identified runs in FOLDERS (`runs` if
+    left out): standard deviations within an operator's day, between operators and between days.
+
+    Every standard deviation has a 90 % interval; the numbers of runs need not be equal. If a
+    constant has acceptance limits, six standard deviations are compared with their distance. Choose
+    runs of one unit with one sequence.
+
+    \b
+    Example:
+      rig runs study --bench practical --sequence figure10 --since 2026-11-23
+      rig runs study runs/monday runs/tuesday --json study.json
+    """
+    from rig.cli.accepting import stated_limits
+    from rig.results.catalogue.study import studies, study_document, study_record
+    from rig.runs.catalogue.entry import latest
+
+    # A run that is in several of the folders counts once.
+    wanted = {
+        (folder / entry.folder).resolve(): replace(entry, folder=str(folder / entry.folder))
+        for folder in folders or (DEFAULT_FOLDER,)
+        for entry in _chosen(folder, given)[1]
+    }
+    entries = latest(sorted(wanted.values(), key=lambda entry: entry.head.created), last)
+    found = studies(entries, lambda run: stated_limits(run, acceptance)[0], seed)
+    if not found:
+        raise InputError("no identified run is chosen; `rig identify RUN` identifies a run")
+    _write(json_file, lambda: study_record(found, seed))
+    _show(study_document(found), out)
 
 
 @command.command("verify")

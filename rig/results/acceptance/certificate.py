@@ -338,7 +338,7 @@ def acceptance_document(found: Acceptance) -> Document:
     statement = (
         f"{failed} of {len(rows)} checks failed."
         if failed
-        else f"The run passed all {len(rows)} checks."
+        else f"The run is complete and met all {len(rows) - 1} limits."
     )
     blocks = (
         Table(("limit", "verdict", "found"), rows, ()),

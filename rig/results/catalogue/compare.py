@@ -411,8 +411,26 @@ def histories(
     root: Path, entries: Sequence[Entry], seed: int = 0, only: str | None = None
 ) -> list[History]:
     """Return the histories of the benches of identified runs; a run and its copies count once."""
+    groups, left_out = identified_runs(root, entries)
+    made = (
+        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
+        for key, runs in groups.items()
+    )
+    return [each for each in made if each.courses or only is None]
+
+
+Groups = dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]]
+"""Runs by bench, whether the bench is simulated, method of the identification, and motion."""
+
+
+def identified_runs(
+    root: Path, entries: Sequence[Entry]
+) -> tuple[Groups, dict[tuple[str, bool | None], list[str]]]:
+    """Return the identified runs in groups that can be compared, and the reasons why the others are
+    left out, by bench; a run and its copies count once.
+    """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
-    groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
+    groups: Groups = {}
     left_out: dict[tuple[str, bool | None], list[str]] = {}
     for entry in entries:
         head = entry.head
@@ -428,11 +446,7 @@ def histories(
             details = entry.parsed()
             key = (head.bench, head.simulated, head.identified, details.motion)
             groups.setdefault(key, []).append((entry, details))
-    made = (
-        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
-        for key, runs in groups.items()
-    )
-    return [each for each in made if each.courses or only is None]
+    return groups, left_out
 
 
 def _history(
@@ -568,7 +582,7 @@ def _section(history: History, *, pictures: bool) -> Section:
         "p",
         "finding",
     )
-    notes = [*_steps(history), *_left_out(history)]
+    notes = [*_steps(history), *left_out_notes(history.left_out)]
     verdict = _verdict(history)
     cells = Table(header, rows, (1, 2, 3, 5, 6, 8))
     alone = history.courses[:1] if pictures and len(history.courses) == 1 else ()
@@ -648,10 +662,11 @@ def _steps(history: History) -> Iterator[Note]:
             yield Note(f"{course.name}: stepped at {run}, {words}")
 
 
-def _left_out(history: History) -> Iterator[Note]:
-    for words in history.left_out[:_MOST_LEFT_OUT]:
+def left_out_notes(left_out: Sequence[str]) -> Iterator[Note]:
+    """Yield notes on the first runs that do not count, and on the number of the others."""
+    for words in left_out[:_MOST_LEFT_OUT]:
         yield Note(f"left out: {words}", "aside")
-    more = len(history.left_out) - _MOST_LEFT_OUT
+    more = len(left_out) - _MOST_LEFT_OUT
     if more > 0:
         yield Note(f"left out: {more} more", "aside")
 

@@ -103,7 +103,7 @@ def model_bench(
             section["moment_arm_m"] = constants.moment_arm
     effects = dict(model.effects)
     mock.pop("effects_file", None)
-    if own.path is not None and own.injects & effects.keys():
+    if own.path is not None and own.injects.keys() & effects.keys():
         mock["effects_file"] = str(own.path.resolve())
     for path, text in problems(effects, own=own.injects):
         notes.append(f"{path[0]} is left out of the simulated bench: {'.'.join(path)}: {text}")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ class OwnFile:
     path: Path | None = None  # the file; None for no file
     sha256: str = ""
     effects: tuple[Effect, ...] = ()  # its effects, in the order of their definition
-    # Names of the effects that functions of the file inject into a simulated machine.
-    injects: frozenset[str] = frozenset()
+    # Name of each effect that a function of the file injects into a simulated machine to it.
+    injects: Mapping[str, Callable[..., float]] = field(default_factory=dict)
 
     @cached_property
     def catalogue(self) -> Mapping[str, Effect]:
@@ -64,7 +64,7 @@ def read_effects(path: Path | None) -> OwnFile:
             or (isinstance(found, Effect) and _of(type(found), module))
         ]
         own = tuple(with_own(list(dict.fromkeys(defined))).values())[len(EFFECTS) :]
-        injects = frozenset(injected(path))
+        injects = {name: getattr(module, f"inject_{name}") for name in injected(path)}
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ConfigurationError, EffectError) as error:

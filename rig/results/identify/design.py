@@ -18,6 +18,7 @@ from identification.design.simulated import NAMES, Intervals, PlannedModel, Sens
 from identification.model.parameters import NOMINAL
 from identification.numerics.arrays import finite
 from identification.recording import Recording
+from identification.result import WIDEST
 from identification.simulation.drive_loop import drive_loop
 from rig.common.errors import InputError
 from rig.common.provenance import heading, sha256_file
@@ -315,12 +316,12 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
 
 def _intervals_words(found: Intervals) -> str:
     """Return how many parameters are determined, and the least accurate."""
-    open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
+    open_names = [n for n, w in found.half_widths.items() if not w <= WIDEST]
     if open_names:
         return f"does not determine {', '.join(open_names)}"
     return (
-        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
-        f"{percent(100.0 * found.worst)}"
+        f"determines all {len(found.half_widths)}; the least accurate is "
+        f"{found.weakest}, to +-{percent(100.0 * found.worst)}"
     )
 
 

@@ -189,21 +189,26 @@ class Rig(NamedTuple):
     gravity: bool = False  # whether the load is a weight fixed to the joint, without a lever
 
 
-def assignment(rigs: int, seed: int) -> list[Assigned]:
+def assignment(
+    rigs: int,
+    seed: int,
+    shares: Mapping[Kind, float] = SHARES,
+    single: Sequence[str] = tuple(SIZES),
+) -> list[Assigned]:
     """Return kind and effect names of each trial, in random order.
 
-    For trials with one effect, all effects of the catalogue are taken in turn, and likewise all
-    effects outside the catalogue; pairs are drawn at random.
+    For trials with one effect, the effects ``single`` are taken in turn, and likewise all effects
+    outside the catalogue; pairs are drawn at random.
     """
     rng = np.random.default_rng([seed, 0])
-    counts = apportion(rigs)
-    singles = in_turn(list(SIZES), counts["one"], rng)
+    counts = apportion(rigs, shares)
+    singles = in_turn(list(single), counts["one"], rng)
     strangers = in_turn(list(OUTSIDE_SIZES), counts["outside"], rng)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
     drawn += [("one", (name,)) for name in singles]
     drawn += [("outside", (name,)) for name in strangers]
     names = list(SIZES)
-    for _ in range(counts["two"]):
+    for _ in range(counts.get("two", 0)):
         drawn.append(("two", _pair(names, rng)))
     return [drawn[k] for k in rng.permutation(len(drawn))]
 

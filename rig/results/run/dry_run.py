@@ -51,8 +51,8 @@ def _describe_acceptance(limits: Sequence[Limit], source: str) -> str:
     if not limits:
         return NOT_JUDGED
     head = (
-        f"acceptance: when all stages are done, the run is judged by {len(limits)} "
-        f"{'limit' if len(limits) == 1 else 'limits'} of {source}"
+        f"acceptance: when all stages are done, the run is judged by its completeness and "
+        f"{len(limits)} {'limit' if len(limits) == 1 else 'limits'} of {source}"
     )
     rows = [list(row) for row in _acceptance_rows(limits)]
     return f"{head}\n{table(['acceptance limit', 'permitted', 'unit'], rows)}"

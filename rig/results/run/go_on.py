@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any, Final
 
+from drivers.errors import CORRECT_MACHINE
 from drivers.interfaces import ServoState
 from rig.common.provenance import sha256_file
 from rig.control.safety import Check, foreseen, remedy
@@ -18,8 +19,8 @@ NOT_READ_BACK = (
     "weights or the joint before it rests"
 )
 NEW_RUN = (
-    "if a remedy changes the bench or sequence file, start a new run: a run can continue only "
-    "with unchanged files"
+    "if a remedy changes the bench file, the sequence file or the file of the machine, start a new "
+    "run: a run can continue only with unchanged files"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
 _BY_FILE = frozenset(
@@ -42,7 +43,8 @@ def first_words(record: RunRecord) -> list[str]:
 
 def go_on_notes(record: RunRecord) -> list[str]:
     """Return further notes on continuing the run."""
-    return [NEW_RUN] if foreseen(record.trip or {}) or _tripped(record) in _BY_FILE else []
+    by_file = foreseen(record.trip or {}) or _tripped(record) in _BY_FILE
+    return [NEW_RUN] if by_file or CORRECT_MACHINE in record.message else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:

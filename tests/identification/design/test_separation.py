@@ -2,8 +2,6 @@
 cases that a bound must get right.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -15,6 +13,7 @@ import pytest
 from identification.design.separation import (
     NOTHING,
     OUTSIDE,
+    REJECTED,
     UNSEEN,
     Evidence,
     Hypothesis,
@@ -22,6 +21,7 @@ from identification.design.separation import (
     error_bound,
     information,
     least_squares_left,
+    level,
     separations,
     visibility,
 )
@@ -121,3 +121,23 @@ def test_odds_sum_to_one_and_name_what_has_no_model() -> None:
     assert sum(odds.values()) == pytest.approx(1.0)
     sure = replace(weighed.hypotheses[0], weight=1e6)
     assert Weighed((sure,), 0.0).odds["backlash"] == 1.0
+
+
+def fitted(residual: Array) -> Any:
+    """A fit that leaves these whitened rows, each a block."""
+    return SimpleNamespace(
+        residual=residual,
+        cost=float(residual @ residual),
+        effects=(),
+        equations=[SimpleNamespace(white=False)],
+        stack=SimpleNamespace(sums=lambda rows: rows),
+    )
+
+
+def test_the_level_is_antisymmetric_and_never_more_than_the_squares_allow() -> None:
+    noise = np.random.default_rng(5).standard_normal(400)
+    best, near, far = fitted(noise), fitted(noise * (1.0 + 1e-4)), fitted(noise + 1.0)
+    assert level(best, best) == 0.0
+    assert level(best, far) == pytest.approx(-level(far, best))
+    assert level(best, far) > REJECTED
+    assert 0.0 < level(best, near) <= 0.5 * math.sqrt(near.cost - best.cost) < 0.5

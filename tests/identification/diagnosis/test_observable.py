@@ -1,7 +1,5 @@
 """What recordings can show, what the true effects gain, and what is wrong in one recording."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 
@@ -15,9 +13,7 @@ from identification.diagnosis.held_out import (
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.significance import (
-    rests_under_torque,
-)
+from identification.diagnosis.significance import rests_under_torque
 from identification.recording import Dataset, Model, Recording
 from identification.views.view import View, views
 
@@ -106,9 +102,7 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     )
 
 
-def test_without_recordings_set_aside_there_is_no_oracle(
-    lopsided: tuple[Recording, ...], first: Joint
-) -> None:
+def test_without_recordings_set_aside_there_is_no_oracle(lopsided, first):
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
 
@@ -136,9 +130,7 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
     return views(recordings, 25.0)
 
 
-def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
-    recordings: tuple[Recording, ...],
-) -> None:
+def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(recordings):
     assert rests_under_torque(seen(recordings), "N m") == ()
     (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")

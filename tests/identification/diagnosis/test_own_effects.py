@@ -1,7 +1,5 @@
 """A diagnosis with effects of one's own: it finds them, and no other diagnosis does."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose, observable_effects

@@ -2,10 +2,11 @@
 disk, and what a kill at any moment leaves.
 """
 
-from __future__ import annotations
-
+import dataclasses
 import json
 import math
+import shlex
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,16 +15,34 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from identification.design.separation import Hypothesis, Weighed
-from identification.diagnosis.result import Verdict
-from rig.cli.entry import BAD_INPUT, status
+from identification.design.separation import REJECTED, Hypothesis, Weighed
+from identification.diagnosis.result import (
+    Diagnosis,
+    Fit,
+    IdentifiedEffect,
+    Location,
+    Rival,
+    Verdict,
+)
+from rig.cli.entry import BAD_INPUT, STOPPED, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.investigate import investigation as loop
+from rig.investigate.choice import Choice
 from rig.investigate.confirmation import Confirmation, Prediction
 from rig.investigate.experiments import as_document, family
-from rig.investigate.investigation import Investigation, State, load_state
+from rig.investigate.investigation import (
+    LEAST_HELD,
+    MOST_COVERS,
+    MOST_REFUTED,
+    VAIN,
+    Experiment,
+    Investigation,
+    State,
+    load_state,
+)
+from rig.results.run.go_on import NOT_READ_BACK
 
 Z = np.zeros(3)
 
@@ -34,7 +53,7 @@ class Killed(BaseException):
 
 def weighed(preference: float, name: str = "cogging", outside: float = 0.01) -> Weighed:
     share = 1.0 if preference < 1.0 else 0.001
-    joint = cast(Any, SimpleNamespace())
+    joint = cast(Any, SimpleNamespace(residual=np.ones(3)))
     return Weighed(
         (
             Hypothesis((name,), joint, 0.0, 1.0),
@@ -54,7 +73,10 @@ class World:
     verdict: Verdict = Verdict.NAMED
     kill_at: int = -1
     trips: bool = False
+    indistinct: bool = False
+    held: tuple[float, ...] = ()
     moments: int = 0
+    outside: Callable[[int], float] = lambda _: 0.01
     ran: list[str] = field(default_factory=list)
     avoided: list[Any] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -72,25 +94,26 @@ class World:
         return SimpleNamespace(
             outcome=outcome,
             diagnosis=diagnosis,
-            weighed=weighed(preference),
+            weighed=weighed(preference, outside=self.outside(len(folders))),
             found=None,
         )
 
     def propose(self, *arguments: Any) -> Any:
         self.moment()
-        *_, name, _left_s, avoided, cover = arguments
+        *_, name, _left_s, avoided, cover, _given_up = arguments
         self.avoided.append(avoided)
-        if self.per_run == 0.0 and not cover:
-            return None
+        if self.indistinct and not cover:
+            return Choice(None, {"torque_ripple": 0.2})
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
-        return SimpleNamespace(
+        proposal = SimpleNamespace(
             purpose="cover" if cover else "separate",
             reason="separates cogging from torque ripple by 7.0 sigma",
             seconds=100.0,
             weight_changes=1,
-            apart={("cogging", "torque_ripple"): 7.0},
+            apart={} if cover else {("cogging", "torque_ripple"): 7.0},
             sequence=as_document(name, parts),
         )
+        return Choice(cast(Any, proposal), {})
 
     def carry_out(self, sequence: Path, folder: Path) -> None:
         load_sequence(sequence)
@@ -110,6 +133,10 @@ class World:
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
         sequence = as_document("confirm", parts).value
         return Prediction(sequence, {"floor_rms": 0.1, "recordings": []}, 60.0, 0)
+
+    def compare(self, *_: Any) -> Confirmation:
+        share, self.held = (self.held[0], self.held[1:]) if self.held else (0.9, ())
+        return Confirmation(share, 0.11, 0.1, 3, 4, {"a": (Z, Z, Z, Z)})
 
     def begin(self, state: State) -> Investigation:
         bench = load_bench("practical")
@@ -132,8 +159,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     monkeypatch.setattr(loop, "predict", made.predict)
     monkeypatch.setattr(loop, "read_record", record)
     monkeypatch.setattr(loop, "load_run", lambda _: None)
-    seen = Confirmation(0.9, 0.11, 0.1, 3, (Z, Z, Z, Z))
-    monkeypatch.setattr(loop, "compare", lambda *_: seen)
+    monkeypatch.setattr(loop, "compare", made.compare)
     return made
 
 
@@ -148,8 +174,8 @@ def purposes(state: State) -> list[str]:
 def test_it_separates_until_every_rival_is_rejected_then_confirms(world: World) -> None:
     state = new()
     _, confirmed = world.begin(state).run()
-    assert purposes(state) == ["first", "separate", "separate", "confirm"]
-    assert "odds" in state.ended
+    assert purposes(state) == ["first", "separate", "separate", "cover", "confirm"]
+    assert "rejected" in state.ended
     assert state.cannot_separate == []
     assert confirmed is not None
     assert state.confirmation["band_held"] == 0.9
@@ -172,24 +198,45 @@ def test_the_odds_after_each_experiment_are_kept_and_the_sealed_one_is_in_no_fit
 
 
 def test_what_no_experiment_separates_is_ambiguous_and_says_what_would(world: World) -> None:
-    world.per_run = 0.0
+    world.indistinct, world.per_run = True, 0.0
     state = new()
     world.begin(state).run()
     assert [pair["names"] for pair in state.cannot_separate] == [["cogging", "torque_ripple"]]
     assert state.cannot_separate[0]["needs"]
+    assert "0.2" in state.cannot_separate[0]["why"]
     assert "separate" not in purposes(state)
 
 
-@pytest.mark.parametrize("verdict", [Verdict.NOTHING_MISSING, Verdict.OUTSIDE_CATALOGUE])
-def test_without_a_rival_it_shows_what_no_recording_has_shown_twice(
-    world: World, verdict: Verdict
-) -> None:
-    world.verdict, world.per_run = verdict, 9.0
+def test_a_pair_is_given_up_after_two_experiments_in_vain(world: World) -> None:
+    world.per_run = 0.0
     state = new()
-    state.experiments = []
     world.begin(state).run()
-    assert purposes(state).count("cover") == 2
-    assert state.ended
+    assert purposes(state).count("separate") == VAIN
+    assert str(VAIN) in state.cannot_separate[0]["why"]
+
+
+@pytest.mark.parametrize(("failed", "kept"), [(1, 1), (MOST_REFUTED + 1, MOST_REFUTED)])
+def test_a_prediction_that_fails_is_evidence_and_the_investigation_goes_on(
+    world: World, failed: int, kept: int
+) -> None:
+    world.held = (LEAST_HELD - 0.1,) * failed
+    state = new()
+    world.begin(state).run()
+    assert purposes(state).count("refute") == len(state.refuted) == kept
+    assert purposes(state)[-1] == "confirm"
+    assert state.confirmation["band_held"] == (0.9 if failed == kept else LEAST_HELD - 0.1)
+    assert len({*world.folder.glob("prediction*.json")}) == kept + 1
+
+
+@pytest.mark.parametrize(("moves", "covers"), [(False, 1), (True, MOST_COVERS)])
+def test_experiments_that_cover_go_on_while_they_show_something(
+    world: World, moves: bool, covers: int
+) -> None:
+    world.verdict, world.per_run = Verdict.NOTHING_MISSING, 9.0
+    world.outside = (lambda runs: runs % 2) if moves else (lambda _: 0.01)
+    state = new()
+    world.begin(state).run()
+    assert purposes(state).count("cover") == covers
 
 
 def test_a_budget_ends_it(world: World) -> None:
@@ -238,7 +285,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_run_twice(world: World) -> None
 def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
     state = new()
     world.begin(state).run()
-    path = world.folder / loop.PREDICTION_FILE
+    path = world.folder / "prediction.json"
     path.write_text(path.read_text().replace("0.1", "0.2", 1))
     with pytest.raises(InputError, match="sealed"):
         world.begin(state).run()
@@ -254,14 +301,65 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
         (("--confirm", "missing.json"), "missing.json"),
     ],
 )
-def test_bad_input(
-    arguments: tuple[str, ...],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_input(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "o" / loop.STATE_FILE).exists()
+
+
+@pytest.mark.parametrize("off", [None, True, False])
+def test_ctrl_c_between_runs_tells_the_drive_and_the_command_that_goes_on(
+    off: bool | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "the folder"
+
+    def stopped(one: Investigation) -> None:
+        if off is not None:
+            one.state.experiments = [Experiment("01-first", "01-first.yaml", "", 0.0, 0)]
+            (folder / "01-first").mkdir(exist_ok=True)
+            (folder / "01-first" / "run.json").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Investigation, "run", stopped)
+    monkeypatch.setattr(loop, "read_record", lambda _: SimpleNamespace(de_energised=off))
+    words = ["investigate", "--bench", "practical", "--yes", "--out", str(folder)]
+    for _ in range(2):
+        assert status(words) == STOPPED
+        told = capsys.readouterr().err.splitlines()
+        assert (NOT_READ_BACK in told[-2]) is (off is False)
+        assert ("01-first" in told[-2]) is (off is not None)
+        words = shlex.split(told[-1].partition("go on with: rig ")[2])
+    assert "--resume" in words
+    assert "--yes" in words
+
+
+@pytest.mark.parametrize(
+    ("preference", "verdict", "group"),
+    [
+        (0.5, Verdict.AMBIGUOUS, ("cogging", "torque_ripple")),
+        (REJECTED, Verdict.NAMED, ("cogging",)),
+    ],
+)
+def test_verdict_rivals_and_confidence_follow_from_one_level(
+    preference: float, verdict: Verdict, group: tuple[str, ...]
+) -> None:
+    """Whatever the diagnosis alone said."""
+    where = Location("motor angle", "rad", (), 0.9, ())
+    own = Rival("torque_ripple", 0.4, "the error is larger by 9.9 standard errors")
+    effect = IdentifiedEffect("cogging", ("cogging",), 0.7, "cogs", "", where, {}, (own,), "")
+    fit = Fit("torque", "N m", 25.0, 2.0, 1.0, 1.0)
+    diagnosis = Diagnosis(Verdict.AMBIGUOUS, "", (effect,), fit, (fit,), {}, {}, 0.001)
+    hypotheses = weighed(preference)
+    found = loop.concluded_from(diagnosis, hypotheses)
+    assert found.verdict is verdict
+    assert found.effects[0].alias_group == group
+    assert found.effects[0].confidence == hypotheses.odds["cogging"]
+    (rival,) = found.effects[0].rivals
+    assert rival.confidence == hypotheses.odds["torque_ripple"]
+    assert ("2.3" in rival.why_not) is (verdict is Verdict.NAMED)
+    nothing = dataclasses.replace(diagnosis, verdict=Verdict.NOTHING_MISSING, effects=())
+    assert loop.concluded_from(nothing, hypotheses) is nothing

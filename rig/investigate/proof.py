@@ -1,0 +1,309 @@
+"""Proves investigations on sealed machines of the simulated bench, against Figure 10 repeated for
+as long.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from scipy import stats
+
+from drivers.mock.plant.parts.constants import Machine
+from identification.recording import Dataset
+from rig.common.errors import InputError
+from rig.common.places import is_file, read_json, write_json, write_text
+from rig.common.provenance import Provenance
+from rig.config.bench import load_bench
+from rig.config.configuration import resolve
+from rig.config.sequence import load_sequence
+from rig.investigate.experiments import SimulatedBench, bench_seconds
+from rig.investigate.investigation import judge_recordings
+from rig.planning.plan import make_plan
+from rig.results.document import Document, Section, Table, provenance_section
+from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
+from rig.results.prove.engine import Engine
+from rig.results.prove.excitation import experiments
+from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
+from rig.results.prove.score import LEVEL, REFUSED, STRONG
+from rig.results.prove.simulate import campaign, reference_of, strength, truth_of
+from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
+
+BENCH, FIRST = "practical", "figure10"
+SHARES: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
+ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in sizes)
+"""Effects that are in every run of a bench, not in one recording of a campaign alone."""
+BUDGET_MIN = 40.0
+SCHEMA = "loadrig.prove_investigate/1"
+Command = Callable[[list[str]], int]
+"""Function that carries out a command line, and returns its exit status."""
+STATES = ("right", "wrong", "open", "missed")
+_RATES = {
+    "right": "one effect, strength {0:g} or more: named alone",
+    "wrong": "one effect, strength {0:g} or more: another one named",
+    "open": "one effect, strength {0:g} or more: left open",
+    "missed": "one effect, strength {0:g} or more: told that nothing is missing",
+    "right_all": "one effect, any strength: named alone",
+    "wrong_all": "one effect, any strength: another one named",
+    "alarms": "no effect: told that something is missing",
+    "outside": "outside the catalogue: told as such",
+    "outside_named": "outside the catalogue: an effect named",
+    "repeated_right": "Figure 10 repeated as long, strength {0:g} or more: named alone",
+    "repeated_wrong": "Figure 10 repeated as long, strength {0:g} or more: another one named",
+    "held": "samples of confirming experiments in the sealed 90 % band (mean over machines)",
+}
+
+
+class Trial(NamedTuple):
+    """One machine: number, kind and effects, its folder, and its sealed truth with the digest."""
+
+    number: int
+    assigned: Assigned
+    folder: Path
+    truth: Path
+    digest: str
+
+
+def begin(out: Path, rigs: int, seed: int) -> Proof:
+    """Draw and seal all machines, or continue a proof that was begun with the same settings."""
+    settings = {"rigs": rigs, "seed": seed, "investigate": True}
+    file, sealed = out / PROOF_FILE, []
+    begun = seals_begun(file, settings) if is_file(file) else {}
+    for n, assigned in enumerate(_assigned(rigs, seed), start=1):
+        where = place(out / "machines", f"{PREFIX}{n:04d}")
+        if where.name in begun:
+            sealed.append(where._replace(digest=begun[where.name]))
+        else:
+            truth = truth_of(draw(*assigned, (seed, n)))
+            sealed.append(seal_truth(where, n, truth, repeated_salt(seed, n)))
+    (out / ROWS).mkdir(parents=True, exist_ok=True)
+    write_json(file, {"settings": settings, "seals": {s.name: s.digest for s in sealed}})
+    return Proof(out, seed, tuple(sealed))
+
+
+def _assigned(rigs: int, seed: int) -> list[Assigned]:
+    return assignment(rigs, seed, SHARES, ON_A_BENCH)
+
+
+def work(
+    proof: Proof, command: Command, engine: Engine, progress: Callable[[str, float], None]
+) -> list[dict[str, Any]]:
+    """Investigate and score the machines that have no row yet; return all rows in order."""
+    assigned = _assigned(len(proof.rigs), proof.seed)
+    todo = [
+        Trial(n, given, rig.campaign.parent, rig.truth, rig.digest)
+        for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
+        if not is_file(proof.file(ROWS, rig))
+    ]
+    one = partial(prove_trial, seed=proof.seed, command=command)
+    done = len(proof.rigs) - len(todo)
+    for row in engine.each(one, todo):
+        done += 1
+        write_json(proof.out / ROWS / f"{PREFIX}{row['rig']:04d}.json", row)
+        progress(f"machine {row['rig']} investigated", done / len(proof.rigs))
+    return [read_json(proof.file(ROWS, rig)) for rig in proof.rigs]
+
+
+def prove_trial(trial: Trial, seed: int, command: Command) -> dict[str, Any]:
+    """Investigate one machine, repeat Figure 10 for as long, unseal and score.
+
+    The bench file states what the simulated machine is; the investigation and its designs see its
+    recordings only.
+    """
+    rig = draw(*trial.assigned, (seed, trial.number))._replace(gravity=False)
+    bench, folder = trial.folder / "bench.yaml", trial.folder / "investigation"
+    trial.folder.mkdir(parents=True, exist_ok=True)
+    if not is_file(bench):
+        write_text(bench, bench_text(rig.machine))
+    own = diagnosis_seed(seed, trial.number)
+    found = _investigated(bench, folder, own, command)
+    repeated = _repeated(bench, found["bench_seconds"], own)
+    truth = unseal(trial.truth, trial.digest).record(trial.number)
+    strengths = {}
+    if truth["kind"] != "nothing":
+        plan = experiments(False)
+        strengths = strength(campaign(rig, plan), reference_of(rig, plan))
+    return row_of(truth, max(strengths.values(), default=0.0), found, repeated, trial.digest)
+
+
+def bench_text(machine: Machine) -> str:
+    """Return the practical bench with another simulated machine, as a file."""
+    plain, values = yaml.safe_load(resolve(BENCH, "benches").read_text()), asdict(machine)
+    mock = plain["mock"]
+    for section in ("motor", "joint", "sensing"):
+        mock[section] = {key: values[section][key] for key in mock[section]}
+    mock |= {key: values[key] for key in ("effects", "temperature_C")}
+    return yaml.safe_dump({**plain, "name": "bench", "mock": json.loads(json.dumps(mock))})
+
+
+def _investigated(bench: Path, folder: Path, seed: int, command: Command) -> dict[str, Any]:
+    """Return the result of an investigation, begun, gone on with, or finished."""
+    file = folder / "investigate.json"
+    more = ["--resume"] if is_file(folder / "investigation.json") else [FIRST]
+    words = ["investigate", *more, "--bench", str(bench), "--out", str(folder), "--yes"]
+    log = folder.with_suffix(".log")
+    with open(log, "a", encoding="utf-8") as said, redirect_stdout(said), redirect_stderr(said):
+        if not is_file(file):
+            command([*words, "--budget", f"{BUDGET_MIN:g}", "--seed", f"{seed}"])
+    nothing = {"verdict": REFUSED, "effects": [], "experiments": [], "bench_seconds": 0.0}
+    return dict(read_json(file)) if is_file(file) else {**nothing, "confirmation": None}
+
+
+def _repeated(bench: Path, least_s: float, seed: int) -> dict[str, Any]:
+    """Return what Figure 10 identifies, repeated for at least as long."""
+    document = load_bench(bench)
+    simulated, machine = SimulatedBench.of(document), document.value.mock
+    assert machine is not None
+    plan = make_plan(load_sequence(FIRST), document)
+    runs = [
+        simulated.simulate(plan, machine, seed + k).recordings
+        for k in range(max(1, math.ceil(least_s / bench_seconds(plan))))
+    ]
+    every = tuple(replace(r, name=f"{k}/{r.name}") for k, run in enumerate(runs) for r in run)
+    try:
+        found = judge_recordings(Dataset(every), bench, seed, [], lambda *_: None).diagnosis
+    except InputError:
+        return {"verdict": REFUSED, "named": []}
+    return {"verdict": found.verdict.value, "named": [e.name for e in found.effects]}
+
+
+def row_of(
+    truth: Mapping[str, Any],
+    strongest: float,
+    found: Mapping[str, Any],
+    repeated: Mapping[str, Any],
+    digest: str,
+) -> dict[str, Any]:
+    """Score an investigation against the truth of its machine.
+
+    ``strength``: greatest rms change of a channel by the effects over its noise, in the experiments
+    of ``rig prove``. ``state`` and ``repeated``: ``right``, ``wrong``, ``open`` or ``missed``, of
+    the investigation, and of Figure 10 repeated. ``to_name``: number of experiments and bench
+    minutes after which the verdict was the final one; null unless it is right. ``held``: share of
+    the samples in the sealed band.
+    """
+    names, identified = list(truth["effects"]), [e["name"] for e in found["effects"]]
+    state = state_of(truth["kind"], names, found["verdict"], identified)
+    judged = [e for e in found["experiments"] if e["purpose"] != "confirm"]
+    minutes = [s / 60.0 for s in accumulate(e["seconds"] for e in judged)]
+    other = [k for k, e in enumerate(judged) if e["verdict"] != found["verdict"]]
+    at = max(other, default=-1) + 1
+    return {
+        "rig": truth["rig"],
+        "sha256": digest,
+        "kind": truth["kind"],
+        "effects": names,
+        "strength": strongest,
+        "verdict": found["verdict"],
+        "named": identified,
+        "state": state,
+        "repeated": state_of(truth["kind"], names, repeated["verdict"], repeated["named"]),
+        "to_name": [at + 1, minutes[at]] if state == "right" and at < len(minutes) else None,
+        "experiments": len(found["experiments"]),
+        "minutes": found["bench_seconds"] / 60.0,
+        "held": (found["confirmation"] or {}).get("band_held"),
+    }
+
+
+def state_of(kind: str, names: Sequence[str], verdict: str, identified: Sequence[str]) -> str:
+    """Return whether a verdict is right, wrong, open, or misses the effect."""
+    if verdict == "named":
+        return "right" if kind == "one" and {*names} == {*identified} else "wrong"
+    own = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind)
+    if verdict == own:
+        return "right"
+    return "missed" if verdict == "nothing_missing" else "open"
+
+
+def wilson(hits: float, of: int) -> dict[str, Any]:
+    """Return a share with its Wilson interval at 95 %."""
+    if not of:
+        return {"n": hits, "of": 0, "share": None, "low": 0.0, "high": 1.0}
+    z, p = float(stats.norm.ppf(0.5 + 0.5 * LEVEL)), hits / of
+    centre, grown = p + z**2 / (2 * of), 1.0 + z**2 / of
+    half = z * math.sqrt(p * (1.0 - p) / of + z**2 / (4 * of**2))
+    low, high = (max(0.0, (centre - half) / grown), min(1.0, (centre + half) / grown))
+    return {"n": hits, "of": of, "share": p, "low": low, "high": high}
+
+
+def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the rates of a proof, and the median and 90 % quantile of experiments and minutes."""
+    kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("one", "nothing", "outside")}
+    strong = [r for r in kinds["one"] if r["strength"] >= STRONG]
+    held = [r["held"] for r in rows if r["held"] is not None]
+
+    def share(of: Sequence[Mapping[str, Any]], state: str, key: str = "state") -> dict[str, Any]:
+        return wilson(sum(r[key] == state for r in of), len(of))
+
+    nothing = kinds["nothing"]
+    to_name = [r["to_name"] for r in kinds["one"] if r["to_name"]]
+    return {
+        **{state: share(strong, state) for state in STATES},
+        **{f"{state}_all": share(kinds["one"], state) for state in STATES},
+        "alarms": wilson(sum(r["state"] != "right" for r in nothing), len(nothing)),
+        "outside": share(kinds["outside"], "right"),
+        "outside_named": share(kinds["outside"], "wrong"),
+        **{f"repeated_{state}": share(strong, state, "repeated") for state in STATES},
+        "held": wilson(sum(held), len(held)),
+        **{
+            key: np.quantile([t[k] for t in to_name], (0.5, 0.9)).tolist() if to_name else None
+            for k, key in enumerate(("experiments_to_name", "minutes_to_name"))
+        },
+    }
+
+
+def proof_record(rows: Sequence[Mapping[str, Any]], provenance: Provenance) -> dict[str, Any]:
+    """Return the record of ``rig prove --investigate --json``; ``rigs`` has one row each."""
+    return {**provenance.record(SCHEMA), **figures(rows), "rigs": list(rows)}
+
+
+def proof_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
+    """Return the proof as a document, from its record."""
+    shown = (Section("", (table,)) for table in _tables(result))
+    return Document(
+        "The blind proof of investigations",
+        f"{len(result['rigs'])} machines, each sealed before its investigation",
+        tuple(shown),
+        (*(Section("", (table,)) for table in _tables(result)), provenance_section(provenance)),
+    )
+
+
+def _tables(result: Mapping[str, Any]) -> Iterator[Table]:
+    rates = tuple(
+        (words.format(STRONG), f"{f['n']:.3g} of {f['of']}", f"{f['low']:.0%} to {f['high']:.0%}")
+        for key, words in _RATES.items()
+        if (f := result[key])["of"]
+    )
+    yield Table(("what", "machines", "95 % interval (Wilson)"), rates, (1, 2))
+    counted = tuple(
+        (words, f"{found[0]:.3g}", f"{found[1]:.3g}")
+        for key, words in (("experiments_to_name", "experiments"), ("minutes_to_name", "minutes"))
+        if (found := result[key])
+    )
+    yield Table(("to the right name", "median", "90 %"), counted, (1, 2))
+    rows = tuple(
+        (
+            f"{r['rig']}",
+            "+".join(r["effects"]) or r["kind"],
+            f"{r['strength']:.3g}",
+            r["state"],
+            r["verdict"].replace("_", " "),
+            "+".join(r["named"]),
+            r["repeated"],
+            f"{r['experiments']}",
+            f"{r['minutes']:.1f}",
+            "" if r["held"] is None else f"{r['held']:.0%}",
+        )
+        for r in result["rigs"]
+    )
+    header = ("machine", "hides", "strength", "state", "verdict", "named", "Figure 10 repeated")
+    yield Table((*header, "experiments", "min", "band held"), rows, (2, 7, 8, 9))
