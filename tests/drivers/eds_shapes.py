@@ -14,7 +14,7 @@ from drivers.canopen.eds_file import Described, read_eds
 from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.units import ServoScales
 from tests.drivers.makes import description

@@ -6,8 +6,7 @@ import re
 from typing import Final
 
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.makes import MAKES
-from drivers.mock.traits import Shown
+from drivers.mock.traits import MAKES, Shown
 
 LACKS: Final = {name: make.lacks for name, make in MAKES.items()}
 """Make to the indices of the objects that its drives lack."""

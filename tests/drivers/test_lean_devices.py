@@ -20,7 +20,7 @@ from drivers.homing import HomingOrder
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import SdoAbortError, key
 from drivers.mock.canopen.node import SimulatedNode
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION, encode
 from drivers.units import EncoderScales, ServoScales

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
 from rig.config.configuration import names, resolve

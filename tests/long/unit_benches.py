@@ -13,9 +13,8 @@ import yaml
 from drivers.clock import Clock
 from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.makes import MAKES
 from drivers.mock.plant.parts.constants import Joint
-from drivers.mock.traits import CSP
+from drivers.mock.traits import CSP, MAKES
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator
