@@ -406,10 +406,7 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        return {
-            **super().needed,
-            servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
-        }
+        return {**super().needed, servo_limits.PROFILE_SPEED: "it limits the speed of the profile"}
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
         unit = self._scales.joint_speed_unit_rad_s
@@ -446,11 +443,7 @@ UNIT: Final[ObjectAddress] = (0x60A9, 0)
 ACCELERATION_UNIT: Final[ObjectAddress] = (0x60AA, 0)
 """SI unit of the acceleration (CiA 402-2): power of ten, numerator, denominator, reserved."""
 RPM: Final = 2.0 * math.pi / 60.0  # speed of one turn per minute, rad/s
-_NUMERATORS: Final[Mapping[int, float]] = {
-    0x10: 1.0,
-    0x41: math.pi / 180.0,
-    0xB4: 2.0 * math.pi,
-}
+_NUMERATORS: Final[Mapping[int, float]] = {0x10: 1.0, 0x41: math.pi / 180.0, 0xB4: 2.0 * math.pi}
 """Codes of CiA 303-2 for radian, degree and revolution, to the angle in rad."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
 """Codes of the time units second, minute and hour, to the time in s."""

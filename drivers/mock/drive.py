@@ -7,7 +7,6 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Final
 
 from drivers.clock import NS, SimulatedClock
@@ -35,6 +34,7 @@ from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
 from drivers.mock.plant.machine import DrivenMachine, Reading
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.sampler import Sampler, encoder_resolution
+from drivers.mock.traits import DRIVE_EDS as DRIVE_EDS
 from drivers.mock.traits import OwnObjects, Traits
 from drivers.mock.wires.bus import SimulatedBus, Timer
 
@@ -333,7 +333,6 @@ class Mover:
         self._profile.start(self.clock.now_ns() + _PROFILE_NS)
 
 
-DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
 CONNECTION_LOST: Final = 0x8100
 

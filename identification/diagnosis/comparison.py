@@ -247,9 +247,7 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
     )
 
 
-def one_of_each(
-    trials: Sequence[tuple[Candidate, Joint]],
-) -> tuple[list[Candidate], list[Joint]]:
+def one_of_each(trials: Sequence[tuple[Candidate, Joint]]) -> tuple[list[Candidate], list[Joint]]:
     """Return the best candidate and fit of each effect, in the given order."""
     best: dict[str, tuple[Candidate, Joint]] = {}
     for candidate, joint in trials:

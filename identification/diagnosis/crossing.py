@@ -108,11 +108,7 @@ def _quick_acceleration(view: View) -> Array:
 
 
 def gap_or_loop(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    terms: Sequence[Effect],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], terms: Sequence[Effect], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """If backlash or coupling hysteresis was identified, select one of the two by the torque that
     is transmitted during crossings; return the fit and the selection rounds.

@@ -506,12 +506,7 @@ def fit(
             return np.concatenate((layout.tangent(burns, x) / sigma, np.diag(held)))
 
         x = minimise(
-            residuals,
-            jacobian,
-            x,
-            threshold=math.inf,
-            tolerance=tolerance,
-            most_steps=most_steps,
+            residuals, jacobian, x, threshold=math.inf, tolerance=tolerance, most_steps=most_steps
         ).x
     nominal, placed = layout.model(x), layout.added(x) if shared else tuple(effects)
     simulated = [nominal.simulated(b) for b in burns]

@@ -22,13 +22,7 @@ from identification.diagnosis.linear import (
 )
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.rows import (
-    Equation,
-    equations,
-    held_voltage,
-    least_noise,
-    own_noise,
-)
+from identification.diagnosis.rows import Equation, equations, held_voltage, least_noise, own_noise
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
 from identification.numerics.least_squares import least_squares
@@ -209,8 +203,7 @@ def _closing_steps(best: Joint, solved: Solution) -> Joint:
         enough = attained - LEAST_CLOSING_GAIN * (attained - predicted)
         steps = [share * solved.linear_step for share in CLOSING_SHARES]
         after = next(
-            (a for step in steps if (a := _fit_after_step(best, step, enough)) is not None),
-            None,
+            (a for step in steps if (a := _fit_after_step(best, step, enough)) is not None), None
         )
         if after is None:
             without = solve(best.stack, best.effects, STATICS).linear_step

@@ -249,10 +249,7 @@ def _effect(
         alias_group=(taken.name, *open_names),
         confidence=confidence,
         statement=finding(
-            entry,
-            parameters,
-            where.recordings,
-            drive_channel(found.baseline.views[0].recording),
+            entry, parameters, where.recordings, drive_channel(found.baseline.views[0].recording)
         ),
         assumption_broken=entry.assumption,
         where=where,
@@ -263,10 +260,7 @@ def _effect(
 
 
 def _location_of(
-    found: Search,
-    k: int,
-    shown: Sequence[Equation],
-    rng: np.random.Generator,
+    found: Search, k: int, shown: Sequence[Equation], rng: np.random.Generator
 ) -> tuple[Location, bool]:
     """Return the location of effect ``k``, which has regressors in the equations ``shown``, and
     whether it is friction at a place that a function of speed or load explains as well: in some

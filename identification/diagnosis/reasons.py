@@ -278,10 +278,7 @@ def floors_left(fit: Fit) -> float:
     times the noise.
     """
     floor = fit.noise_floor_rms
-    pairs = (
-        (fit.baseline_rms, fit.final_rms),
-        (fit.validate_baseline_rms, fit.validate_final_rms),
-    )
+    pairs = ((fit.baseline_rms, fit.final_rms), (fit.validate_baseline_rms, fit.validate_final_rms))
     ratios = [
         after / floor
         for before, after in pairs

@@ -139,11 +139,7 @@ def needed_share(others: float, error: float = ROUGH) -> float:
 
 
 def with_best_rivals(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    dropped: Sequence[Added],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], dropped: Sequence[Added], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """Compare every effect with its rivals again, with all other effects in the model, until no
     rival takes the place of an effect; return the fit and the selection rounds.
@@ -160,11 +156,7 @@ def with_best_rivals(
 
 
 def _contested_once(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    dropped: Sequence[Added],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], dropped: Sequence[Added], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """Compare every effect with its rivals once."""
     for place, taken in enumerate(rounds):

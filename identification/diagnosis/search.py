@@ -41,11 +41,7 @@ from identification.diagnosis.significance import (
     trial_candidates,
 )
 from identification.diagnosis.stack import Candidate
-from identification.diagnosis.within_limits import (
-    feasible_or_first,
-    infeasible,
-    with_assumed_fall,
-)
+from identification.diagnosis.within_limits import feasible_or_first, infeasible, with_assumed_fall
 from identification.effects.effect import Context, Effect, Shape
 
 TRIALS = 3
@@ -58,10 +54,7 @@ def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -
     for candidate in candidates:
         each.setdefault(candidate.name, []).append(candidate)
     best = [max(c, key=lambda c: _rank(c, terms[c.name])) for c in each.values()]
-    return sorted(
-        (c for c in best if c.score > 0.0 and c.relevant),
-        key=lambda c: -c.score,
-    )
+    return sorted((c for c in best if c.score > 0.0 and c.relevant), key=lambda c: -c.score)
 
 
 def _rank(candidate: Candidate, term: Effect) -> float:

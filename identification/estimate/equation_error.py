@@ -16,13 +16,7 @@ from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray, IntArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples
-from identification.prepare import (
-    Prepared,
-    joint_angle,
-    prepare,
-    uniform_grid,
-    volts_per_torque,
-)
+from identification.prepare import Prepared, joint_angle, prepare, uniform_grid, volts_per_torque
 from identification.recording import Model, Recording, RecordingError
 from identification.signals import quantum, resample
 

@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 
 from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.default import identify
-from identification.estimate.equation_error import (
-    Floor,
-    Stage,
-    noise_floor,
-    unloaded_stage,
-)
+from identification.estimate.equation_error import Floor, Stage, noise_floor, unloaded_stage
 from identification.estimate.parameter_table import fit_of
 from identification.model.parameters import LADDER, LOAD_PARAMETERS, bears_load
 from identification.numerics.arrays import Array, Progress, silent
@@ -306,10 +301,7 @@ class Transfer:
 
 
 def transfer(
-    first: Identification,
-    dataset: Dataset,
-    other: Dataset,
-    rng: np.random.Generator | None = None,
+    first: Identification, dataset: Dataset, other: Dataset, rng: np.random.Generator | None = None
 ) -> Transfer:
     """Score a fitted model on other recordings, and compare it with an identification of the other
     recordings.

@@ -54,10 +54,7 @@ from identification.signals import quantum
 
 
 def refusal(
-    refined: Refined,
-    before: float,
-    after: float,
-    limits: AcceptanceLimits = DEFAULT.acceptance,
+    refined: Refined, before: float, after: float, limits: AcceptanceLimits = DEFAULT.acceptance
 ) -> str:
     """Return the reason why the refined values are rejected; empty if they are accepted.
 
@@ -428,10 +425,7 @@ def refine_pieces(
         if length < len(free) * SETTLED**2:
             break
     evaluated = replace(
-        start,
-        evaluations=evaluations,
-        iterations=start.iterations + number + 1,
-        left_out=left_out,
+        start, evaluations=evaluations, iterations=start.iterations + number + 1, left_out=left_out
     )
     return _over_all(evaluated, found, names, vector)
 

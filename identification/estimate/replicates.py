@@ -113,10 +113,7 @@ def likelihood_bias(
 
 
 def logged_share(
-    joint: Point,
-    loop: Loop,
-    rng: np.random.Generator,
-    unseen: float = DEFAULT.replicates.unseen,
+    joint: Point, loop: Loop, rng: np.random.Generator, unseen: float = DEFAULT.replicates.unseen
 ) -> float:
     """Return the logged share: the share of the variance of the torque noise that is in the logged
     torque and not in the true torque (M34).

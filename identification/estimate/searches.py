@@ -300,11 +300,7 @@ def _least_squares(point: Point, step: float) -> Searched:
     """Search by least squares with the standard deviations at the start point."""
     held = point.weighted(step)
     found = levenberg.minimise(
-        held.residuals,
-        held.jacobian,
-        point.origin(),
-        threshold=HUBER_THRESHOLD,
-        tolerance=1e-4,
+        held.residuals, held.jacobian, point.origin(), threshold=HUBER_THRESHOLD, tolerance=1e-4
     )
     return Searched(point.moved(found.x), found.steps)
 

@@ -713,10 +713,7 @@ def _scales(prepared: Sequence[Prepared], inertia: float) -> Scales:
 
 
 def _starts(
-    problem: _Problem,
-    axes: Coordinates,
-    free: bool,
-    ends: Mapping[tuple[str, bool], LoopFit],
+    problem: _Problem, axes: Coordinates, free: bool, ends: Mapping[tuple[str, bool], LoopFit]
 ) -> list[Array]:
     """Return start points: of the equation error, and ends of contained models."""
     values = problem.values["stribeck_load_dependent" if bears_load(axes.rung) else "stribeck"]

@@ -303,10 +303,7 @@ def constants(
     RT = (g.Gamma * C_r) ** 2
     c = np.zeros(CONSTANTS_SIZE)
     c[DENSITY], c[BURNING_AREA] = g.rho_b, g.A_b
-    c[BURNING_COEFFICIENT], c[EXPONENT] = (
-        corrected.get("a", g.a),
-        corrected.get("n", g.n),
-    )
+    c[BURNING_COEFFICIENT], c[EXPONENT] = (corrected.get("a", g.a), corrected.get("n", g.n))
     c[VELOCITY], c[ENERGY] = C_r, RT
     c[ENTHALPY] = g.gamma / (g.gamma - 1.0) * RT
     c[EXACT] = 1.0 if exact else 0.0

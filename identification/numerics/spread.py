@@ -1,5 +1,19 @@
 """Covariance of named estimates with 90 % intervals; variance components of grouped values;
-correlation time of a series of residuals.
+correlation time of a series of residuals; change of a history of estimates.
+
+The test of a history is against a drift, or one step. For values x_i with standard errors s_i and
+weights w_i = 1 / s_i^2, a pattern p_i (a line, or a step before run k) is fitted by weighted least
+squares with the amplitude a. The ratio of the amplitude to its standard error is Z = a sqrt(sum w_i
+(p_i - p)^2), where p is the weighted mean of the pattern. The residuals r_i have the scatter c^2 =
+sum w_i r_i^2 / (n - 2), which is one if the standard errors are right. The two statistics are T =
+|Z| / max(c, 1) of the line, and the greatest T of all steps. The stated p value is twice the
+smaller of the p values of the two statistics.
+
+The distributions without change are simulated for the same weights and patterns with T = |Z| / c,
+which does not depend on the scale of the scatter and is never less than |Z| / max(c, 1). Therefore
+the stated false-alarm rate holds if the values scatter as their intervals state, and if the values
+scatter more (because of temperature and lubricant). If the values scatter less, the false-alarm
+rate is below the stated rate.
 """
 
 from __future__ import annotations
@@ -232,3 +246,120 @@ def correlation_samples(residual: Array) -> float:
     below = np.flatnonzero(correlation <= 0.0)
     end = int(below[0]) if below.size else len(correlation)
     return float(1.0 + 2.0 * np.sum(correlation[1:end]))
+
+
+LEAST_RUNS = 6
+"""Least number of values for a test; with fewer values, at most four degrees of freedom remain."""
+_LEAST_SIDE = 2  # least number of values before and after a step
+_MOST_STEPS = 40
+"""Greatest number of positions at which a step is sought, spread evenly in a longer history."""
+_DRAWS = 100_000
+_FLOOR = 1.0 / 3.0
+"""Least standard error over the median one, so that one value does not outweigh all others."""
+_TWO_SIDED_90 = 1.6448536269514722
+
+
+@dataclass(frozen=True)
+class Change:
+    """Change that fits a history best."""
+
+    start: int | None  # index of the first value after the step, or None for a drift
+    size: float  # size of the step, or change of the drift from the first to the last value
+    half_width: float  # half width of the 90 % interval of the size
+    p_value: float  # probability that a history without change shows a change of this size or more
+
+
+class ChangeTest:
+    """The test for histories of values with these standard errors.
+
+    Args:
+        errors: Standard errors in the order of time, shape (n,), n at least :data:`LEAST_RUNS`,
+            above 0.
+        rng: Random generator for the simulated distributions of the statistics without change.
+
+    Raises:
+        ValueError: There are fewer values, or an error is not positive.
+    """
+
+    def __init__(self, errors: Array, rng: np.random.Generator) -> None:
+        count = len(errors)
+        if count < LEAST_RUNS or not (np.asarray(errors) > 0.0).all():
+            raise ValueError(
+                f"{count} values; the test needs at least {LEAST_RUNS} values, each with a "
+                "standard error above 0"
+            )
+        errors = np.maximum(errors, _FLOOR * float(np.median(errors)))
+        self._starts = step_starts(count)
+        patterns = _patterns(count, self._starts)
+        self._root = 1.0 / errors
+        weights = self._root**2
+        centred = patterns - (patterns @ weights / weights.sum())[:, None]
+        self._norms = np.sqrt(centred**2 @ weights)
+        self._unit = centred * self._root / self._norms[:, None]
+        self._mean = self._root / math.sqrt(weights.sum())
+        self._null = _null(count, self._unit, self._mean, rng)
+
+    def __call__(self, values: Array) -> Change:
+        """Return the drift or step that fits a history best, with its p value.
+
+        Args:
+            values: Values in the order of time, shape (n,).
+        """
+        # The mean does not affect the statistics; it is subtracted so that rounding does not
+        # either.
+        white = (values - values.mean()) * self._root
+        sizes, scatter = _fitted(white[None, :], self._unit, self._mean)
+        beyond = np.maximum(scatter[0], 1.0)
+        statistic = np.abs(sizes[0]) / beyond
+        step = 1 + int(np.argmax(statistic[1:]))
+        chances = {
+            k: _chance(null, statistic[k]) for k, null in zip((0, step), self._null, strict=True)
+        }
+        best = min(chances, key=lambda k: (chances[k], -statistic[k]))
+        return Change(
+            None if best == 0 else int(self._starts[best - 1]),
+            float(sizes[0, best] / self._norms[best]),
+            float(_TWO_SIDED_90 * beyond[best] / self._norms[best]),
+            min(1.0, 2.0 * chances[best]),
+        )
+
+
+def step_starts(count: int) -> Array:
+    """Return the indices before which a step is sought."""
+    last = count - _LEAST_SIDE
+    places = min(_MOST_STEPS, last - _LEAST_SIDE + 1)
+    return np.unique(np.round(np.linspace(_LEAST_SIDE, last, places)).astype(np.int64))
+
+
+def _patterns(count: int, starts: Array) -> Array:
+    """Return a line that rises by one, then all steps of height one; shape (patterns, count)."""
+    index = np.arange(count)
+    steps = (index[None, :] >= starts[:, None]).astype(np.float64)
+    return np.vstack((index / (count - 1.0), steps))
+
+
+def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
+    """Return amplitudes over errors, and scatters of residuals, (histories, patterns) each."""
+    sizes = white @ unit.T
+    total = np.sum(white**2, axis=1) - (white @ mean) ** 2
+    left = np.maximum(total[:, None] - sizes**2, 1e-300)
+    return sizes, np.sqrt(left / (white.shape[1] - 2.0))
+
+
+def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return the sorted statistics of histories without change: of lines and of steps, (draws,)."""
+    lines, steps = [], []
+    block = max(1, 2_000_000 // count)
+    for done in range(0, _DRAWS, block):
+        draws = rng.standard_normal((min(block, _DRAWS - done), count))
+        sizes, scatter = _fitted(draws, unit, mean)
+        statistic = np.abs(sizes) / scatter
+        lines.append(statistic[:, 0])
+        steps.append(np.max(statistic[:, 1:], axis=1))
+    return np.sort(np.concatenate(lines)), np.sort(np.concatenate(steps))
+
+
+def _chance(null: Array, statistic: float) -> float:
+    """Return the share of a sorted null distribution that is at least as great as a statistic."""
+    above = len(null) - int(np.searchsorted(null, statistic))
+    return (1.0 + above) / (1.0 + len(null))

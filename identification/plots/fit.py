@@ -291,9 +291,7 @@ _WIDTH = 4.4  # width of the figure, inches: its text is legible on a screen of 
 
 
 def result(
-    identified: Identification,
-    moments: Mapping[str, float | None],
-    recordings: Sequence[Recording],
+    identified: Identification, moments: Mapping[str, float | None], recordings: Sequence[Recording]
 ) -> Figure:
     """Draw friction against speed. Below, draw tracking error, current (or torque) and temperature
     of all recordings, one after the other in time, as far as these channels were recorded.

@@ -330,8 +330,5 @@ def command_ripple(view: View) -> Array:
     return central_difference(speed, view.step)
 
 
-INSTANTS: Mapping[str, Callable[[View], Array]] = {
-    "hold": voltage_change,
-    "ripple": command_ripple,
-}
+INSTANTS: Mapping[str, Callable[[View], Array]] = {"hold": voltage_change, "ripple": command_ripple}
 """Parameters that sampling at instants adds to the voltage equation, with their columns."""

@@ -557,10 +557,7 @@ def run_starts(recordings: Sequence[Recording]) -> list[float]:
     then assumed to start cold, with running time 0.
     """
     if len(recordings) > 1 and one_clock(recordings):
-        first, last = (
-            min(r.span[0] for r in recordings),
-            max(r.span[1] for r in recordings),
-        )
+        first, last = (min(r.span[0] for r in recordings), max(r.span[1] for r in recordings))
         zero = 0.0 if 0.0 <= first < last - first else first
         return [r.span[0] - zero for r in recordings]
     return [0.0] * len(recordings)

@@ -143,7 +143,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             )
     # Such a term is permitted without a known load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
-        (r.known_load or r.exported) and r.role == "fit" for r in campaign.recordings
+        r.known_load and r.role == "fit" for r in campaign.recordings
     ):
         yield (
             ("model",),
@@ -159,7 +159,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
-    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings if not r.exported}
+    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings}
     if len(units) > 1:
         yield (
             ("bench",),
@@ -223,9 +223,7 @@ def _way(recording: RecordingSection) -> str:
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings for validation if the model would have no working load."""
-    fitted = any(
-        r.role == "fit" and (r.stage == "loaded" or r.exported) for r in campaign.recordings
-    )
+    fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
     if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
@@ -248,15 +246,6 @@ def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
 
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     channels: Mapping[str, ChannelSection] = recording.channels
-    if recording.exported:
-        for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
-            yield (
-                (name,),
-                "a recording without `channels` must be a file of `rig export`, and such a file "
-                f"states its {name} itself; for a file of `rig export` remove `{name}`, for "
-                "another file add `channels`",
-            )
-        return
     if "time" not in channels and recording.rate is None:
         yield ("channels",), "no `time` channel and no `rate`; state the channel or the rate"
     if "time" in channels and recording.rate is not None:
@@ -301,8 +290,6 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             )
 
 
-_BESIDE_EXPORT = {"file", "role", "channels"}
-"""Keys that a recording from a file of `rig export` may state."""
 _UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (
@@ -310,7 +297,7 @@ _UNSIGNED: Mapping[str, str] = {
         "distinguished; remove `current` and add either a signed `torque`, or `voltage` with "
         "bench.resistance and bench.back_emf_constant, from which the signed current "
         "I = (U - Ke omega_motor)/R is computed"
-    ),
+    )
 }
 
 

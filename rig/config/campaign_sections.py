@@ -569,9 +569,7 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`. For a file of `rig export` (csv, mat, mcap, parquet) this key may be
-            left out, because such a file states channels, stage, masses, loads and constants
-            itself.
+            `{column: ...}`.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -589,17 +587,12 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[ChannelName, ChannelSection] = Field(default_factory=dict)
+    channels: dict[ChannelName, ChannelSection]
 
     @field_validator("unit", mode="before")
     @classmethod
     def _named(cls, unit: object) -> object:
         return str(unit) if type(unit) is int else unit
-
-    @property
-    def exported(self) -> bool:
-        """Whether the file must contain its own description, as files of `rig export` do."""
-        return not self.channels
 
     @property
     def known_load(self) -> bool:

@@ -25,7 +25,6 @@ from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import ANGLE_TIME, RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.runs.alignment import aligned
-from rig.runs.exported import read_back, sidecar
 from rig.sources.channels import read_channels
 from rig.sources.columns import unit_row_doubts
 from rig.sources.formats import FORMATS, open_table, unknown_format
@@ -504,11 +503,7 @@ def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Da
     read: list[Read] = []
     for file, index, section in _expand(document, problems):
         try:
-            read.append(
-                _exported(file, section, document, index)
-                if section.exported
-                else build(file, section, bench, document, index)
-            )
+            read.append(build(file, section, bench, document, index))
         except InputError as error:
             problems.extend(error.problems)
     if problems:
@@ -532,33 +527,6 @@ def _require_visible(path: Path) -> None:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be read: {reason}") from error
-
-
-def _exported(
-    file: Path, section: RecordingSection, document: Document[Campaign], index: int
-) -> Read:
-    """Read a file of ``rig export``; what the campaign states replaces its constants and role."""
-    given = document.value.bench
-    bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
-    with usable(file, "read"):
-        found = read_back(file, format_of(file), bench)
-    if found is None:
-        raise InputError(
-            document.problem(
-                ("recordings", index),
-                "`channels` is missing; only a file of `rig export` needs no channels, and "
-                f"{file.name} is not such a file (an exported CSV file needs "
-                f"{sidecar(file).name} beside it)",
-            )
-        )
-    unsure = given.uncertainties()
-    for k, one in enumerate(found):
-        kept = {n: v for n, v in one.uncertainties.items() if n.partition(".")[2] not in bench}
-        role = section.role if "role" in section.model_fields_set else one.role
-        kept |= unsure
-        found[k] = replace(one, role=role, unit=section.unit, uncertainties=kept)
-    first, last = (min(r.time[0] for r in found), max(r.time[-1] for r in found))
-    return Read(tuple(found), float(first), float(last), section, index)
 
 
 def _expand(

@@ -14,9 +14,10 @@ from drivers.canopen.eds_file import Described, read_eds
 from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.units import ServoScales
+from tests.drivers.makes import description
 
 NODE = 5
 SCALES = ServoScales(4096, 100.0, 15.0, 0.45)

@@ -20,10 +20,11 @@ from drivers.homing import HomingOrder
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import SdoAbortError, key
 from drivers.mock.canopen.node import SimulatedNode
-from drivers.mock.makes import LACKS, MAKES, description
+from drivers.mock.traits import MAKES
 from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION, encode
 from drivers.units import EncoderScales, ServoScales
+from tests.drivers.makes import LACKS, description
 
 from .host import SCALES, Host, enabled, make_eds, make_host
 from .test_servo import LIMITS

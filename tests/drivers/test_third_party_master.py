@@ -10,9 +10,9 @@ from canopen.profiles.p402 import BaseNode402
 
 from drivers.mock.bench import DRIVE_NODE, SimulatedBench, simulated_bench
 from drivers.mock.canopen.node import Nmt
-from drivers.mock.makes import MAKES, described_drive
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.traits import MAKES, described_drive
 
 from .host import make_eds, read_eds
 

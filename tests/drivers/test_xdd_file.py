@@ -16,7 +16,8 @@ from drivers.canopen.eds_file import Described, read_eds, sections
 from drivers.errors import ConfigurationError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
+from tests.drivers.makes import description
 
 from .eds_shapes import of
 from .host import enabled, make_host

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identification.numerics.change import LEAST_RUNS, ChangeTest
+from identification.numerics.spread import LEAST_RUNS, ChangeTest
 
 CONSTANTS, RUNS = 9, 10
 SIGMA = 1.0

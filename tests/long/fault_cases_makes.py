@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 
 from .fault_cases import (
     BRAKE_S,

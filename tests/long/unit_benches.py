@@ -13,9 +13,8 @@ import yaml
 from drivers.clock import Clock
 from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.makes import MAKES, description
 from drivers.mock.plant.parts.constants import Joint
-from drivers.mock.traits import CSP
+from drivers.mock.traits import CSP, MAKES
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator
@@ -27,6 +26,7 @@ from rig.runs.run import RunFolder, create_folder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
+from tests.drivers.makes import description
 
 TENFOLD = "tenfold speed"
 """A unit of the speed ten times finer than the stated one; not part of the table of the study."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +11,16 @@ import yaml
 
 from identification.effects.model import CorrectedModel
 from identification.export.python import python_text
-from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
-from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.document import check_effects
-from rig.results.diagnose.exports import SEQUENCE_FILE, exports
 from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.own_effects import OwnFile, read_effects
 from rig.results.model import exported, read_model
 from rig.runs.run import load_run
 from rig.wiring.connect import connect
-from tests.rig.diagnoses import AMBIGUOUS
 from tests.rig.test_model_bench import record, run
 from tests.rig.test_model_command import result as model_result
 from tests.rig.test_model_export import (
@@ -206,32 +200,6 @@ def test_a_wrong_name_of_a_parameter_lists_those_there_are(tmp_path: Path) -> No
     )
     with pytest.raises(InputError, match="the parameters are c, b"):
         read_effects(mine(tmp_path, text))
-
-
-def test_no_experiment_is_written_for_an_effect_without_one(six: OwnFile, tmp_path: Path) -> None:
-    stated = read_effects(
-        mine(
-            tmp_path,
-            """
-from identification.effects.effect import Separation
-from identification.effects.own import OwnEffect
-
-class RootDrag(OwnEffect):
-    parameters = {"c": ("N m s^1.5/rad^1.5", 0.0, 9.0)}
-    separation = Separation.SLOW
-
-    def torque(s, p):
-        return p.c * s.velocity * np.abs(s.velocity) ** 0.5
-""",
-        )
-    )
-    effect = replace(AMBIGUOUS.effects[0], alias_group=("root_drag", "quadratic_drag"))
-    found = replace(AMBIGUOUS, effects=(effect,))
-    data, made = Dataset([RECORDING]), Provenance.of(0, (RECORDING,), 0.0)
-    without, known = (exports(tmp_path, Outcome(data, found, made, o), {}) for o in (six, stated))
-    assert SEQUENCE_FILE not in {f.name for f in without.files}
-    assert "root_drag" in without.notes[-1]
-    assert SEQUENCE_FILE in {f.name for f in known.files}
 
 
 def test_another_diagnosis_does_not_see_the_effects(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from drivers.mock.makes import LACKS, description
 from drivers.units import ServoScales
 from rig.cli.entry import status
 from rig.common.errors import InputError
@@ -21,6 +20,7 @@ from rig.runs.mcap.reader import read_run
 from rig.wiring.connect import connect, servo_data
 from rig.wiring.devices import watcher, watcher_of
 from rig.wiring.scales import servo_scales
+from tests.drivers.makes import LACKS, description
 
 from .benches import stages, swing
 

@@ -154,11 +154,7 @@ def _interruptible(document: Document[Bench], screen: Screen, stop: StopButton) 
     help="Joint angle, deg; may be given several times.",
 )
 @click.option(
-    "--speed",
-    type=shared.Number(),
-    default=5.0,
-    show_default=True,
-    help="Greatest speed on the way, deg/s.",
+    "--speed", type=shared.Number(), default=5.0, help="Greatest speed on the way, deg/s."
 )
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @shared.simulated_seed

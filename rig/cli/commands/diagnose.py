@@ -10,7 +10,7 @@ from rig.cli import options as shared
 
 
 @click.command("diagnose")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=shared.PATH)
 @shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
 @click.option(
     "--gas",
@@ -111,14 +111,14 @@ def diagnose(
 @click.option(
     "--check",
     metavar="FILE.py",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Run a Python file with effects of one's own, and say what is wrong with each: units, a "
     "size that no parameter determines.",
 )
 @click.option(
     "--on",
     metavar="SOURCE",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="With --check, also say whether these recordings can show each effect, and which effect "
     "of the catalogue it copies.",
 )
@@ -163,14 +163,10 @@ FORMATS = ("python", "c", "fmu", "modelica", "mjcf", "simulink", "yaml")
 
 
 @click.command("model")
-@click.argument("result", type=click.Path(path_type=Path))
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="c", show_default=True)
+@click.argument("result", type=shared.PATH)
+@click.option("--format", "kind", type=click.Choice(FORMATS), default="c")
 @click.option(
-    "--fmi",
-    type=click.Choice(["2", "3"]),
-    default="3",
-    show_default=True,
-    help="Version of FMI of --format fmu.",
+    "--fmi", type=click.Choice(["2", "3"]), default="3", help="Version of FMI of --format fmu."
 )
 @shared.own_effects
 @shared.out_folder("Folder for the files. [default: ./NAME_FORMAT]")

@@ -20,12 +20,11 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
 
 
 @click.command("identify")
-@click.argument("source", type=click.Path(path_type=Path), required=False)
+@click.argument("source", type=shared.PATH, required=False)
 @click.option(
     "--method",
     type=click.Choice(list(_METHODS)),
     default="default",
-    show_default=True,
     help="Estimation method; `both` shows both methods side by side.",
 )
 @click.option(
@@ -57,14 +56,11 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
     "better sequence of the same duration.",
 )
 @click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="With --plan: bench for which the sequence is planned.",
+    "--bench", default="practical", help="With --plan: bench for which the sequence is planned."
 )
 @click.option(
     "--nominal",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="With --plan: last accepted result of `rig identify --json`. [default: the paper's "
     "friction and the practical bench's inertia]",
 )
@@ -83,7 +79,7 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
 @click.option(
     "--score",
     metavar="SOURCE",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Another source on which the result is scored: error and noise floor of that source, "
     "and the parameters that changed.",
 )
@@ -235,14 +231,14 @@ def _plan(
 
 
 @click.command("simulate")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=shared.PATH)
 @click.option(
     "--result",
     "results",
     metavar="FILE",
     multiple=True,
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
 @shared.own_effects

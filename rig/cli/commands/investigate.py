@@ -25,12 +25,7 @@ FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run 
 
 @click.command("investigate")
 @click.argument("sources", metavar="[SEQUENCE | RUN...]", nargs=-1)
-@click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="Bench file, or the name of a packaged bench.",
-)
+@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
 @click.option(
     "--budget",
     "budget_min",
@@ -47,7 +42,7 @@ FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run 
     "--confirm",
     "result",
     metavar="RESULT",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Choose no experiment: only predict the confirming one with the model of this result of "
     "`rig diagnose` or `rig investigate`, and run it.",
 )
@@ -277,14 +272,10 @@ def _report(
 
 
 @click.command("design")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=shared.PATH)
 @click.option("--bench", required=True, help="Bench file, or the name of a packaged bench.")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("next.yaml"),
-    show_default=True,
-    help="Sequence file of the experiment.",
+    "--out", type=shared.FILE, default=Path("next.yaml"), help="Sequence file of the experiment."
 )
 @click.option("--question", metavar='"A, B"', help="Names of the only effects that are weighed.")
 @shared.seed()

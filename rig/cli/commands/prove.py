@@ -24,19 +24,11 @@ _STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with
 
 @click.command("paper")
 @click.option(
-    "--seeds",
-    type=click.IntRange(min=1),
-    default=20,
-    show_default=True,
-    help="Number of searches per method.",
+    "--seeds", type=click.IntRange(min=1), default=20, help="Number of searches per method."
 )
 @shared.seed("First seed; each search has the next seed.")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("paper"),
-    show_default=True,
-    help="Folder for page and figures.",
+    "--out", type=shared.FOLDER, default=Path("paper"), help="Folder for page and figures."
 )
 @shared.result_file
 def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
@@ -88,13 +80,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 
 
 @click.command("prove")
-@click.option(
-    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of trials."
-)
+@click.option("--rigs", type=click.IntRange(min=1), default=600, help="Number of trials.")
 @click.option(
     "--seal",
     "home",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     help="Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
 )
 @click.option(
@@ -105,12 +95,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     default=Path("proof"),
-    show_default=True,
     help="Folder of the proof; a proof that was begun in this folder is continued.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
 @click.option(
     "--cluster",
     "workers",

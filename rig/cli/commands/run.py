@@ -49,16 +49,9 @@ from rig.wiring.preflight import require_startable
 
 @click.command("run")
 @click.argument("sequence")
+@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
 @click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="Bench file, or the name of a packaged bench.",
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Run folder, new or empty. [default: runs/<utc>-<name>]",
+    "--out", type=shared.PATH, help="Run folder, new or empty. [default: runs/<utc>-<name>]"
 )
 @shared.yes
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
@@ -71,7 +64,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--faults",
     "fault_file",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Schedule (YAML or CSV) of injected faults on the simulated bench.",
 )
 @shared.operator_name
@@ -79,7 +72,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--feedforward",
     "feedforward_file",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Result of `rig identify --json` on this bench; the drive adds the torque of friction "
     "and inertia that this result predicts.",
 )
@@ -190,7 +183,7 @@ def run(
 
 
 @click.command("resume")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.yes
 @shared.operator_name
 @shared.identification

@@ -81,9 +81,7 @@ def _filters(command: Any) -> Any:
 
 
 _last = click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
-_folder = click.argument(
-    "folder", type=click.Path(path_type=Path, file_okay=False), default=DEFAULT_FOLDER
-)
+_folder = click.argument("folder", type=shared.FOLDER, default=DEFAULT_FOLDER)
 _page = shared.out_folder("Also write a page with figures into this folder.")
 
 
@@ -133,7 +131,7 @@ def list_(
 
 
 @command.command("show")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @_page
 @shared.result_file
 def show(run: Path, out: Path | None, json_file: Path | None) -> None:
@@ -152,7 +150,7 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 
 
 @command.command("compare")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
@@ -290,7 +288,7 @@ def study(
 
 
 @command.command("verify")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
@@ -321,7 +319,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
 
 
 @command.command("accept")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
 @shared.junit
 @shared.result_file

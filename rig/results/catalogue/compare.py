@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from identification.numerics.arrays import plain
-from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
+from identification.numerics.spread import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Array, Dataset
 from rig.common.errors import InputError
 from rig.common.provenance import heading

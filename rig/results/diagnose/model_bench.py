@@ -68,10 +68,7 @@ def _plain(text: str) -> Tree:
 
 
 def model_bench(
-    base: Mapping[str, Any],
-    model: CorrectedModel,
-    constants: Constants,
-    own: OwnFile = NO_FILE,
+    base: Mapping[str, Any], model: CorrectedModel, constants: Constants, own: OwnFile = NO_FILE
 ) -> tuple[Tree, list[str]]:
     """Return bench file data in which the model of a result is the simulated machine, and notes on
     the parts of the model that the machine cannot represent; effects of one's own are those that a

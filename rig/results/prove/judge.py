@@ -9,8 +9,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from identification.diagnosis.held_out import oracle
 from identification.diagnosis.joint import Joint
-from identification.diagnosis.oracle import oracle
 from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
@@ -43,8 +43,8 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     """Fit the true structure to a campaign, after the diagnosis.
 
     Returns:
-        The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model
-        cannot be fitted, or if the campaign has no unused recordings.
+        The record of a :class:`~identification.diagnosis.held_out.HeldOut`, or None if the nominal
+        model cannot be fitted, or if the campaign has no unused recordings.
     """
     dataset, bandwidth, _ = choose(load_source(source), None)
     try:

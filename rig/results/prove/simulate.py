@@ -19,13 +19,7 @@ from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
 from rig.common.places import replacing, write_text
 from rig.results.prove.draw import Rig
-from rig.results.prove.excitation import (
-    CYCLE_S,
-    NOTHING_FIXED,
-    Array,
-    Experiment,
-    FixedWeight,
-)
+from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment, FixedWeight
 from rig.results.prove.truth import CAMPAIGN_FILE
 from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source

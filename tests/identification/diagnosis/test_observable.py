@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose, observable_effects
-from identification.diagnosis.joint import Joint
-from identification.diagnosis.observable import Observable
-from identification.diagnosis.oracle import (
+from identification.diagnosis.held_out import (
     oracle,
 )
+from identification.diagnosis.joint import Joint
+from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.significance import rests_under_torque
 from identification.recording import Dataset, Model, Recording
