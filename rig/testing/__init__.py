@@ -151,10 +151,11 @@ class Bench:
                 folder.mkdir(parents=True)
                 break
         words = ["run", str(sequence), "--bench", self.name, "--out", str(folder), "--yes"]
+        words += ["--wait", str(self.wait_s), *options]
         before = gc.get_threshold()
         gc.set_threshold(GARBAGE_THRESHOLD)
         try:
-            code = status([*words, "--wait", str(self.wait_s), *options])
+            code = status(words)
         finally:
             gc.set_threshold(*before)
         if (folder / "run.json").is_file():
