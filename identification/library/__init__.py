@@ -243,9 +243,13 @@ def dataset_of(source: Source, model: Model | None = None) -> Dataset:
     """Return recordings as a dataset whose recordings have different names.
 
     Raises:
-        RecordingError: A sample is missing.
+        RecordingError: A sample is missing, or the recordings are of several units.
     """
     whole = source if isinstance(source, Dataset) else Dataset(source)
+    if len(units := list(dict.fromkeys(r.unit for r in whole.recordings))) > 1:
+        raise RecordingError(
+            f"recordings of {len(units)} units ({units[0]}, ...); give those of one"
+        )
     taken: dict[str, int] = {}
     recordings = []
     for recording in whole.recordings:

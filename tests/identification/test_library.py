@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -155,6 +156,11 @@ def test_a_missing_sample_is_an_error_with_its_place() -> None:
 def test_a_model_that_contradicts_itself_is_an_error(given: dict[str, Any]) -> None:
     with pytest.raises(lr.RecordingError):
         lr.Model(**given)
+
+
+def test_recordings_of_two_units_are_not_one_machine() -> None:
+    with pytest.raises(lr.RecordingError, match="2 units"):
+        lr.identify([replace(noisy(k), unit=unit) for k, unit in enumerate("ab")])
 
 
 def test_a_model_that_lacks_something_is_said_to(found: Any) -> None:
