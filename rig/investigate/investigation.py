@@ -335,7 +335,7 @@ class Investigation:
         say: Callable[[str], None],
         progress: Progress,
     ) -> None:
-        self._bench = SimulatedBench.of(bench)
+        self.bench = SimulatedBench.of(bench)
         self._folder, self.state = folder, state
         self._carry_out, self._say, self._progress = carry_out, say, progress
 
@@ -356,7 +356,7 @@ class Investigation:
                 self._experiment(proposal)
                 judged = self._judge()
             state.save(self._folder)
-            final = judge(self._done(), state.seed, state.question, self._progress, True)
+            final = self.judged(refine=True)
             if not self._confirming() and state.left_s > 0.0:
                 self._confirm(final)
             found = self._compare()
@@ -412,18 +412,30 @@ class Investigation:
                 self.state.experiments.remove(e)
                 self._say(f"{e.run}: was planned but did not begin; it is designed again")
                 continue
-            e.state = self._ended(self._place(e.run))
+            e.state = self.ended(self._place(e.run))
             self._say(f"{e.run}: found as {e.state}; its recordings are used, it is not repeated")
         self.state.save(self._folder)
 
-    @staticmethod
-    def _ended(folder: Path) -> str:
+    def judged(self, refine: bool = False) -> Judgement:
+        """Diagnose all runs but the confirming one; see :func:`judge`."""
+        return judge(self._done(), self.state.seed, self.state.question, self._progress, refine)
+
+    def recordings(self, folder: Path) -> Dataset:
+        """Return the recordings of a run."""
+        return load_run(folder)
+
+    def began(self, folder: Path) -> bool:
+        """Whether a run has begun."""
+        return is_file(folder / RUN_FILE)
+
+    def ended(self, folder: Path) -> str:
+        """Return the state of a run that has ended."""
         record = read_record(folder)
         return Ending.CRASHED.value if record.state == "running" else record.state
 
     def _first(self) -> None:
         sequence = load_sequence(self.state.first)
-        plan = make_plan(sequence, self._bench.document)
+        plan = make_plan(sequence, self.bench.document)
         changes = weight_changes(plan.stages)
         e = _planned("the first run", bench_seconds(plan), changes, "first")
         self._carry(e, sequence.value)
@@ -442,8 +454,8 @@ class Investigation:
         try:
             self._carry_out(path, self._folder / e.run)
         finally:
-            if is_file(self._folder / e.run / RUN_FILE):
-                e.state = self._ended(self._folder / e.run)
+            if self.began(self._folder / e.run):
+                e.state = self.ended(self._folder / e.run)
             else:
                 self.state.experiments.remove(e)
             self.state.save(self._folder)
@@ -456,7 +468,7 @@ class Investigation:
         self._carry(e, p.sequence.value)
 
     def _judge(self) -> Judgement:
-        judged = judge(self._done(), self.state.seed, self.state.question, self._progress)
+        judged = self.judged()
         weighed = judged.weighed
         last = [e for e in self.state.experiments if e.purpose != "confirm"][-1]
         last.odds, last.verdict = weighed.odds, judged.diagnosis.verdict.value
@@ -508,7 +520,7 @@ class Investigation:
         """Return an experiment that separates, or one that covers; note what none separates."""
         state = self.state
         chosen = next_experiment(
-            self._bench,
+            self.bench,
             judged,
             state.seed,
             len(state.experiments) + 1,
@@ -548,7 +560,7 @@ class Investigation:
         state = self.state
         rng = np.random.default_rng([state.seed, len(state.experiments), 1])
         prediction = predict(
-            self._bench, final.outcome, final.weighed, rng, self._progress, state.confirm
+            self.bench, final.outcome, final.weighed, rng, self._progress, state.confirm
         )
         if prediction is None:
             self._say("no confirming experiment: the model of the result cannot be simulated")
@@ -570,7 +582,7 @@ class Investigation:
             raise InputError(
                 f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
             )
-        found = compare(read_json(path), load_run(self._place(runs[-1].run)))
+        found = compare(read_json(path), self.recordings(self._place(runs[-1].run)))
         self.state.confirmation |= found.record()
         self.state.save(self._folder)
         return found
