@@ -102,8 +102,9 @@ prove: $(VENV)/.dev  ## the blind proof of the diagnosis in ten minutes: a small
 	$(BIN)/python -m benchmarks.worlds out/worlds $(PROVE_WORLDS) --jobs 2
 	$(BIN)/rig prove --from out/worlds --jobs 2 --out out/proof-worlds
 
-prove-gas: $(VENV)/.runtime  ## the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)
-	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
+prove-gas: $(VENV)/.dev  ## the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)
+	$(BIN)/python -m benchmarks.worlds out/worlds-gas --plant gas --rigs $(or $(RIGS),100) --jobs 2
+	$(BIN)/rig prove --from out/worlds-gas --jobs 2 --out out/proof-gas
 
 prove-worlds: $(VENV)/.dev  ## the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)
 	for plant in own third mujoco; do \

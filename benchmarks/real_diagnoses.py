@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.baselines import greedy_bic, library
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.held_out import validation_rms
 from identification.diagnosis.joint import Added, Joint
-from identification.diagnosis.oracle import greedy_bic, library
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.within_limits import choose, views_and_fit, within_limits

@@ -52,9 +52,7 @@ class Suspension:
     """Detects that the computer slept, which no lateness shows: the monotonic clock stood still."""
 
     def __init__(
-        self,
-        boot_ns: Callable[[], int] = _boot_ns,
-        awake_ns: Callable[[], int] = time.monotonic_ns,
+        self, boot_ns: Callable[[], int] = _boot_ns, awake_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         self._boot_ns, self._awake_ns = boot_ns, awake_ns
         self._most_ns = self._asleep_ns()

@@ -6,6 +6,8 @@ A message states what was found and what was expected, with units, and the remed
 
 from __future__ import annotations
 
+from typing import Final
+
 
 class DeviceError(Exception):
     """Base class of all device and bus errors."""
@@ -72,6 +74,10 @@ class LimitError(ConfigurationError):
 
 class NotDescribedError(ConfigurationError):
     """The EDS file of the device does not contain the object."""
+
+
+CORRECT_MACHINE: Final = "the error is in this file of the machine, not in the drive or the bus"
+"""Words in every :class:`MachineError`."""
 
 
 class MachineError(DeviceError):

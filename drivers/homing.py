@@ -40,17 +40,14 @@ def method_words(method: int) -> str:
 
 @dataclass(frozen=True)
 class HomingOffer:
-    """Whether a drive can home, and how.
+    """Whether a drive can home, and how."""
 
-    Attributes:
-        methods: Homing methods that the drive accepts (values of 6098h); empty if it cannot home.
-        why_not: Reason why the drive cannot home, or can home only without motion; else empty.
-        listed: Whether the drive lists these methods (60E3h); otherwise the methods are all that
-            its EDS allows in 6098h, and the drive may refuse some of them.
-    """
-
+    # Homing methods that the drive accepts (values of 6098h); empty if it cannot home.
     methods: tuple[int, ...] = ()
+    # Reason why the drive cannot home, or can home only without motion; else empty.
     why_not: str = ""
+    # Whether the drive lists these methods (60E3h); otherwise the methods are all that its EDS
+    # allows in 6098h, and the drive may refuse some of them.
     listed: bool = True
 
     @property
@@ -71,21 +68,13 @@ class HomingOffer:
 
 @dataclass(frozen=True)
 class HomingOrder:
-    """One homing.
+    """One homing."""
 
-    Attributes:
-        method: Homing method, the value of 6098h.
-        home_rad: Joint angle at the home position, which the drive shows after the homing.
-        search_rad_s: Joint speed toward a switch.
-        zero_rad_s: Joint speed of the search for the home position.
-        acceleration_rad_s2: Joint acceleration.
-    """
-
-    method: int
-    home_rad: float
-    search_rad_s: float
-    zero_rad_s: float
-    acceleration_rad_s2: float
+    method: int  # homing method, the value of 6098h
+    home_rad: float  # joint angle at the home position, which the drive shows after the homing
+    search_rad_s: float  # joint speed toward a switch
+    zero_rad_s: float  # joint speed of the search for the home position
+    acceleration_rad_s2: float  # joint acceleration
 
 
 @runtime_checkable

@@ -34,8 +34,7 @@ class Lacks:
     words: tuple[str, ...] = ()
 
 
-NOTHING = Lacks()
-"""Record of a device that enforces all limits and reports all values."""
+NOTHING = Lacks()  # record of a device that enforces all limits and reports all values
 
 
 KNOWN_SPREAD: Final = 2.2
@@ -452,8 +451,7 @@ class PressureTransmitter(Device):
 
 EXTENDED_FLAG: Final = 0x80000000
 REMOTE_FLAG: Final = 0x40000000
-ERROR_FLAG: Final = 0x20000000
-"""Flag of error frames and other frames that are no data frames."""
+ERROR_FLAG: Final = 0x20000000  # flag of error frames and other frames that are no data frames
 SERIAL_FLAG: Final = 0x10000000
 """Flag of bytes of a serial line, whose number is in the low bits. The flag is valid only without
 the other flags, because this bit is also a bit of extended identifiers.

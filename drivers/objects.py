@@ -13,8 +13,7 @@ from typing import Final, ParamSpec, Protocol, TypeVar
 from drivers.errors import ConfigurationError, DeviceError, NotDescribedError, ObjectAccessError
 from drivers.interfaces import Identity
 
-ObjectAddress = tuple[int, int]
-"""Index and subindex of an object."""
+ObjectAddress = tuple[int, int]  # index and subindex of an object
 VENDOR: Final = (0x1018, 1)
 """Vendor of a device, the only part of its identity that CiA 301 prescribes."""
 PRODUCT: Final = (0x1018, 2)

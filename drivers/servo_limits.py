@@ -43,8 +43,7 @@ FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
     QUICK_STOP_DECELERATION: ("quick_stop_deceleration_rad_s2", "quick stop deceleration"),
 }
 """Object to the field of :class:`ServoLimits` that it stores, and to the name of the limit."""
-OBJECTS: Final = tuple(FIELDS)
-"""All objects that store limits."""
+OBJECTS: Final = tuple(FIELDS)  # all objects that store limits
 _ENDS: Final = {POSITION_MIN: POSITION_MAX, POSITION_MAX: POSITION_MIN}
 _COUNTS: Final = ("machine.gear_ratio", "servo.counts_per_motor_turn")
 _SPEEDS: Final = ("machine.gear_ratio", "servo.velocity_unit")

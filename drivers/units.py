@@ -18,68 +18,47 @@ _TOLERANCE: Final = 1e-3
 
 @dataclass(frozen=True)
 class ServoScales:
-    """Units of one drive according to the bench file.
+    """Units of one drive according to the bench file."""
 
-    Attributes:
-        counts_per_turn: Counts of 6064h per motor turn.
-        gear_ratio: Motor turns per joint turn.
-        rated_current_A: Expected value of 6075h, the rated current; 6078h is in per mille of this
-            current.
-        rated_torque_N_m: Expected value of 6076h, the rated torque; 6072h is in per mille of this
-            torque.
-        sign: 1 if positive counts are a positive joint angle, else -1.
-        offset_rad: Joint angle at position 0.
-        current_sign: -1 if the drive's current has the opposite sign of its torque, else 1.
-        current_offset_A: Current that the drive reports without current, after both signs.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh, or None for one count per
-            second.
-        acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah,
-            or None for one unit of the speed per second.
-        voltage_object: Object of the mean motor voltage, or None if unknown.
-        voltage_unit_V: Unit of this object, V.
-        temperature_object: Object of the drive's temperature, or None if unknown.
-        temperature_unit_C: Unit of this object, deg C.
-        supply_object: Object of the supply voltage.
-        supply_unit_V: Unit of this object, V.
-        current_object: The maker's own object of the motor current, or None for 6078h or, without
-            6078h, for 6077h.
-        named_current_unit_A: Unit of the maker's own object, A.
-        torque_constant_N_m_A: Motor torque per ampere, for drives that report torque and no
-            current, or None for the ratio of rated torque and rated current.
-        rated_current_object: Object of the rated current.
-        rated_current_object_unit_A: Unit of this object, A.
-        rated_torque_object: Object of the rated torque.
-        rated_torque_object_unit_N_m: Unit of this object, N m.
-        known_objects: Those of the above objects that the bench file does not name, but that drives
-            of this maker are known to have; a drive may lack them.
-        vendor_id: Vendor whose drives are known to have these units (1018h:01h), or None if all
-            units are from the bench file.
-    """
-
-    counts_per_turn: float
-    gear_ratio: float
+    counts_per_turn: float  # counts of 6064h per motor turn
+    gear_ratio: float  # motor turns per joint turn
+    # Expected value of 6075h, the rated current; 6078h is in per mille of this current.
     rated_current_A: float
+    # Expected value of 6076h, the rated torque; 6072h is in per mille of this torque.
     rated_torque_N_m: float
-    sign: int = 1
-    offset_rad: float = 0.0
-    current_sign: int = 1
+    sign: int = 1  # 1 if positive counts are a positive joint angle, else -1
+    offset_rad: float = 0.0  # joint angle at position 0
+    current_sign: int = 1  # -1 if the drive's current has the opposite sign of its torque, else 1
+    # Current that the drive reports without current, after both signs.
     current_offset_A: float = 0.0
+    # Motor speed of one unit of 606Ch and 607Fh, or None for one count per second.
     velocity_unit_rad_s: float | None = None
+    # Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah, or None for one unit of the
+    # speed per second.
     acceleration_unit_rad_s2: float | None = None
+    # Object of the mean motor voltage, or None if unknown.
     voltage_object: ObjectAddress | None = None
-    voltage_unit_V: float = 0.01
+    voltage_unit_V: float = 0.01  # unit of this object, V
+    # Object of the drive's temperature, or None if unknown.
     temperature_object: ObjectAddress | None = None
-    temperature_unit_C: float = 0.1
-    supply_object: ObjectAddress = (0x6079, 0)
-    supply_unit_V: float = 1e-3
+    temperature_unit_C: float = 0.1  # unit of this object, deg C
+    supply_object: ObjectAddress = (0x6079, 0)  # object of the supply voltage
+    supply_unit_V: float = 1e-3  # unit of this object, V
+    # The maker's own object of the motor current, or None for 6078h or, without 6078h, for 6077h.
     current_object: ObjectAddress | None = None
-    named_current_unit_A: float = 1e-3
+    named_current_unit_A: float = 1e-3  # unit of the maker's own object, A
+    # Motor torque per ampere, for drives that report torque and no current, or None for the ratio
+    # of rated torque and rated current.
     torque_constant_N_m_A: float | None = None
     rated_current_object: ObjectAddress = RATED[0]
     rated_current_object_unit_A: float = 1e-3
     rated_torque_object: ObjectAddress = RATED[1]
     rated_torque_object_unit_N_m: float = 1e-3
+    # Those of the above objects that the bench file does not name, but that drives of this maker
+    # are known to have; a drive may lack them.
     known_objects: tuple[ObjectAddress, ...] = ()
+    # Vendor whose drives are known to have these units (1018h:01h), or None if all units are from
+    # the bench file.
     vendor_id: int | None = None
 
     @property
@@ -231,19 +210,13 @@ def _resolution(drive: ObjectAccess) -> float | None:
 
 @dataclass(frozen=True)
 class EncoderScales:
-    """Units of one joint encoder according to the bench file.
+    """Units of one joint encoder according to the bench file."""
 
-    Attributes:
-        counts_per_turn: Expected value of 6001h.
-        sign: 1 if rising counts are a rising joint angle, else -1.
-        offset_rad: Joint angle at 6004h = 0.
-        middle_rad: Middle of the joint's travel, or None for the angle at 6004h = 0. Of the angles
-            that the first reading may mean, the angle nearest to this middle is used.
-    """
-
-    counts_per_turn: int
-    sign: int = 1
-    offset_rad: float = 0.0
+    counts_per_turn: int  # expected value of 6001h
+    sign: int = 1  # 1 if rising counts are a rising joint angle, else -1
+    offset_rad: float = 0.0  # joint angle at 6004h = 0
+    # Middle of the joint's travel, or None for the angle at 6004h = 0. Of the angles that the first
+    # reading may mean, the angle nearest to this middle is used.
     middle_rad: float | None = None
 
     def __post_init__(self) -> None:

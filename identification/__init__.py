@@ -16,15 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from identification.library import (
-        Effect,
-        catalogue,
-        diagnose,
-        effect,
-        identify,
-        plan,
-        simulate,
-    )
+    from identification.library import Effect, catalogue, diagnose, effect, identify, plan, simulate
     from identification.recording import (
         Bench,
         Controller,

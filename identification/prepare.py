@@ -56,9 +56,7 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
-    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
-    those of :func:`contact_force`.
-    """
+    """Return the contact moment F_P L1 (eq. 13, m_L), N m; arguments as :func:`contact_force`."""
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm
     if arm is None:
@@ -78,16 +76,14 @@ SLOW_BANDWIDTH_HZ = 20.0
 """Default bandwidth of slowly sampled recordings, at most a sixth of their sample rate; the motion
 of a servo drive has components up to about 20 Hz.
 """
-RATE_TOLERANCE = 1e-6
-"""Greatest relative error of the sample rate due to rounded time stamps."""
+RATE_TOLERANCE = 1e-6  # greatest relative error of the sample rate due to rounded time stamps
 IRREGULAR, STANDS_OUT = 0.25, 8.0
 """Least deviation of an irregular sample interval from the median interval: as a share of the
 median interval, and as a multiple of the median absolute deviation.
 """
 LEAST_CLEAN = 0.1
 """Samples near a bad sample are removed if this share of the moving samples remains."""
-REST_SAMPLES = 8
-"""Successive samples at rest over which the angle changes by at most one step."""
+REST_SAMPLES = 8  # successive samples at rest over which the angle changes by at most one step
 
 
 @dataclass(frozen=True)
@@ -96,39 +92,27 @@ class Prepared:
 
     Arrays have shape (n,), are in SI units at the joint, and have passed the same filter;
     ``raw_velocity`` and ``raw_load`` have not.
-
-    Attributes:
-        recording: The recording from which the signals were computed.
-        time: s.
-        angle: rad.
-        velocity: rad/s.
-        acceleration: rad/s^2.
-        torque: Drive torque plus the torque of the known loads, less the inertia torque of these
-            loads, N m; A if no torque constant is known.
-        drive_torque: Drive torque alone, N m.
-        moment: Contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Mask of the samples in motion whose filter window contains no sample at rest and no
-            sample near a late or missing sample.
-        bandwidth_Hz: Bandwidth of the filter.
-        filter: The filter, to be applied to regressors that are not linear in the velocity.
-        raw_velocity: Velocity before the filter, rad/s, shape (m,), for regressors that are not
-            linear in the velocity.
-        raw_load: Magnitude of the known loads' torque before the filter, N m, shape (m,).
     """
 
-    recording: Recording
-    time: Array
-    angle: Array
-    velocity: Array
-    acceleration: Array
+    recording: Recording  # the recording from which the signals were computed
+    time: Array  # s
+    angle: Array  # rad
+    velocity: Array  # rad/s
+    acceleration: Array  # rad/s^2
+    # Drive torque plus the torque of the known loads, less the inertia torque of these loads, N m;
+    # A if no torque constant is known.
     torque: Array
-    drive_torque: Array
-    moment: Array
+    drive_torque: Array  # drive torque alone, N m
+    moment: Array  # contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded
+    # Mask of the samples in motion whose filter window contains no sample at rest and no sample
+    # near a late or missing sample.
     used: BoolArray
-    bandwidth_Hz: float
-    filter: Decimator
+    bandwidth_Hz: float  # bandwidth of the filter
+    filter: Decimator  # the filter, to be applied to regressors that are not linear in the velocity
+    # Velocity before the filter, rad/s, shape (m,), for regressors that are not linear in the
+    # velocity.
     raw_velocity: Array
-    raw_load: Array
+    raw_load: Array  # magnitude of the known loads' torque before the filter, N m, shape (m,)
 
 
 def uniform_grid(recording: Recording) -> Array:
@@ -438,12 +422,10 @@ def _unresolved(velocity: Array, rate: float) -> BoolArray:
     return np.asarray(worst > 1e-3 * scale)
 
 
-OFF_GRID = 0.01
-"""Greatest distance of a time stamp from its time on the grid, in periods."""
+OFF_GRID = 0.01  # greatest distance of a time stamp from its time on the grid, in periods
 MOST_FILLED = 0.1
 """Greatest share of interpolated samples; above this share the sampling counts as uneven."""
-SHORT_HOLE = 3
-"""Greatest number of missing samples in a row that are interpolated and used."""
+SHORT_HOLE = 3  # greatest number of missing samples in a row that are interpolated and used
 _COUNTED = ("angle", "motor_angle")
 
 

@@ -86,9 +86,7 @@ class Bench:
 
     @property
     def ampere_torque(self) -> float:
-        """Joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in
-        amperes.
-        """
+        """Joint torque of one motor ampere, Km i; 1 with unknown Km, for a fit in amperes."""
         return 1.0 if self.torque_constant is None else self.torque_constant * self.gear_ratio
 
     def contact_force(self, weight_mass: float) -> float:
@@ -269,6 +267,7 @@ class Recording:
         partial: Whether the run stopped before the end of the command of this recording.
         start: Session time of the first sample, s, or None if only the recording's own time stamps
             are known.
+        unit: Name of the machine, if a dataset has recordings of several of one kind.
         uncertainties: Standard deviations of known constants, by their place in this record
             (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); constants that are not
             listed count as exact.
@@ -290,6 +289,7 @@ class Recording:
     notes: tuple[str, ...]
     partial: bool
     start: float | None
+    unit: str
     uncertainties: Mapping[str, float]
 
     def __init__(
@@ -325,6 +325,7 @@ class Recording:
         notes: tuple[str, ...] = (),
         partial: bool = False,
         start: float | None = None,
+        unit: str = "",
         uncertainties: Mapping[str, float] | None = None,
     ) -> None:
         """Take signals by the names and in the units of :data:`CHANNELS`, or as a table
@@ -389,9 +390,7 @@ class Recording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Start and end of the recording, s: as session time if known, else as time stamps of the
-        recording.
-        """
+        """Start and end of the recording, s: session time if known, else its time stamps."""
         first, last = float(self.time[0]), float(self.time[-1])
         return (first, last) if self.start is None else (self.start, self.start + last - first)
 

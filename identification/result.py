@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from identification.numerics.arrays import Array, finite, plain
 from identification.numerics.spread import NO_SPREAD, Spread
 
+WIDEST = 0.5
+"""Half width of the 90 % interval over the value above which a parameter is not determined."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -33,6 +36,16 @@ class Parameter:
     at_bound: bool = False
     reason: str = ""
     floor: float | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether the interval, which contains what the model lacks, is narrow enough to say that
+        the value is known; an offset, which may be zero, is judged by the torque instead.
+        """
+        if self.value is None or self.low is None or self.high is None:
+            return False
+        half = 0.5 * (self.high - self.low)
+        return self.name == "offset" or half <= WIDEST * abs(self.value)
 
 
 @dataclass(frozen=True)
@@ -78,6 +91,11 @@ class Misfit(StrEnum):
     ABOVE_FLOOR = "above_noise_floor"
 
 
+HEADLINES = {
+    Misfit.EXPLAINS_LITTLE: "This model does not describe this machine",
+    Misfit.AT_BOUNDS: "The fit has no friction or no inertia where the model has some",
+    Misfit.ABOVE_FLOOR: "The model leaves more than noise",
+}
 LEAST_EXPLAINED = 0.5
 """Share of the torque's power that a model must explain to describe the machine."""
 MOST_FLOORS = 1.5
@@ -368,6 +386,26 @@ class Identification:
             Misfit.ABOVE_FLOOR: (self.fit.floors or 0.0) > MOST_FLOORS,
         }
         return tuple(code for code, holds in signs.items() if holds)
+
+    @property
+    def misfit_words(self) -> str:
+        """What is left beside torque and noise floor, and the constants at their bounds; empty if
+        the model describes the recordings.
+        """
+        fit, parts = self.fit, []
+        if Misfit.EXPLAINS_LITTLE in self.misfit:
+            share = 100.0 * max(fit.explained, 0.0)
+            parts.append(f"the fit explains {share:.3g} % of the torque's power")
+        if Misfit.AT_BOUNDS in self.misfit:
+            words = "are at their bounds 0" if len(self.bounded) > 1 else "is at its bound 0"
+            parts.append(f"{', '.join(self.bounded)} {words}")
+        if Misfit.ABOVE_FLOOR in self.misfit:
+            parts.append(
+                f"the error, {fit.train_rms:.3g} {fit.unit} rms at {fit.bandwidth_Hz:.3g} Hz, is "
+                f"{fit.floors:.3g} times the noise floor, {fit.noise_floor_rms:.3g} {fit.unit}, "
+                "and the intervals include what is left"
+            )
+        return "; ".join(parts)
 
     @property
     def values(self) -> dict[str, float]:

@@ -78,12 +78,9 @@ def _filter(filters: Array, values: Array) -> None:
             values[k] = y
 
 
-_LEAST_STEPS = 8
-"""Least number of small steps with a common divisor that is not chance."""
-_LONGEST_STEP = 1.5
-"""Longest step between two samples without a missing sample, in sample periods."""
-_KAISER = 5.0
-"""Shape parameter beta of the Kaiser window of the low-pass."""
+_LEAST_STEPS = 8  # least number of small steps with a common divisor that is not chance
+_LONGEST_STEP = 1.5  # longest step between two samples without a missing sample, in sample periods
+_KAISER = 5.0  # shape parameter beta of the Kaiser window of the low-pass
 
 
 def quantum(values: Array) -> float:
@@ -168,15 +165,10 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
 
 @dataclass(frozen=True)
 class Decimator:
-    """A symmetric FIR low-pass with decimation, which torque and regressors pass alike.
+    """A symmetric FIR low-pass with decimation, which torque and regressors pass alike."""
 
-    Attributes:
-        taps: Filter, shape (2 half + 1,), sum 1; a single tap means no filtering.
-        factor: Decimation: one sample in ``factor`` remains.
-    """
-
-    taps: Array
-    factor: int
+    taps: Array  # filter, shape (2 half + 1,), sum 1; a single tap means no filtering
+    factor: int  # decimation: one sample in `factor` remains
 
     @property
     def half(self) -> int:
@@ -290,29 +282,20 @@ def _low_pass(half: int, cutoff: float) -> Array:
     return np.asarray(taps / taps.sum())
 
 
-REST_RAD_S = 1e-4
-"""Mean speed over :data:`REST_SPAN_S` below which a joint counts as resting."""
+REST_RAD_S = 1e-4  # mean speed over `REST_SPAN_S` below which a joint counts as resting
 REST_SPAN_S = 0.05
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Tracking errors and effort of one recording or a part of it.
+    """Tracking errors and effort of one recording or a part of it."""
 
-    Attributes:
-        rms: Rms of command less angle, rad.
-        largest: Greatest magnitude of command less angle, rad.
-        at_end: Last value of command less angle, rad; the steady-state error if the command is
-            constant.
-        energy: Electrical energy consumed by the motor, the integral of U I, J.
-        waiting: Share of the commanded motion time in which the joint rested.
-    """
-
-    rms: float
-    largest: float
+    rms: float  # rms of command less angle, rad
+    largest: float  # greatest magnitude of command less angle, rad
+    # Last value of command less angle, rad; the steady-state error if the command is constant.
     at_end: float
-    energy: float
-    waiting: float
+    energy: float  # electrical energy consumed by the motor, the integral of U I, J
+    waiting: float  # share of the commanded motion time in which the joint rested
 
 
 def tracking_error(recording: Recording) -> Array:

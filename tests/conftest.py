@@ -2,8 +2,6 @@
 recordings.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil
@@ -48,8 +46,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# The same examples on every machine, however slow it is; `make proofs` draws others each time.
-settings.register_profile("repeatable", deadline=None, derandomize=True)
+# The same examples on every machine, however slow it is; `make proofs` draws others each time, and
+# more of them.
+settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=40)
 settings.register_profile("random", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 

@@ -11,8 +11,6 @@
 | `not run: REASON` | is for the reader only |
 """
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Resolves dotted names in documents, so that tests compare documents with the code."""
 
-from __future__ import annotations
-
 import importlib
 
 

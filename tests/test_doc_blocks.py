@@ -1,8 +1,7 @@
 """Every code block of the documents runs, or says why not; the reference is what the code says."""
 
-from __future__ import annotations
-
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -55,6 +54,21 @@ def test_its_quick_blocks_run(page: Path, tmp_path: Path, monkeypatch: pytest.Mo
         elif block.mark == "run":
             for command in block.commands:
                 assert run(command) == 0, f"{block.place}: {command}"
+
+
+def test_the_pages_can_be_walked_in_any_order_in_one_folder() -> None:
+    """A page finds no folder that another page wrote, and no file of it with another content."""
+    written: dict[str, tuple[Path, str]] = {}
+    for block in BLOCKS:
+        if block.kind != "console" or block.page.parent.name == "reference":
+            continue
+        for command in block.commands:
+            found = re.search(r"^rig .* --out (\S+)|> (\S+)$", command)
+            if found is None:
+                continue
+            name, content = found[1] or found[2], command if found[2] else ""
+            page, before = written.setdefault(name, (block.page, content))
+            assert page == block.page or (content and content == before), f"{block.place}: {name}"
 
 
 def run(command: str) -> int:

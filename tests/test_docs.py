@@ -1,7 +1,5 @@
 """The documents against the code and each other: links, equation numbers, names, list of pages."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

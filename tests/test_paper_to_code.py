@@ -1,7 +1,5 @@
 """The table from the paper to the code: nothing is left out, every name exists."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

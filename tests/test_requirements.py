@@ -1,7 +1,5 @@
 """What ``pip install .`` brings is what every command imports."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
+from benchmarks.worlds.gas import seal_gas
 from benchmarks.worlds.seal import Plant, seal_worlds
 from rig.results.prove.engine import Processes
 from rig.results.prove.truth import random_salt, repeated_salt
 
-OWN, THIRD, MUJOCO = "own", "third", "mujoco"
+OWN, THIRD, MUJOCO, GAS = "own", "third", "mujoco", "gas"
 ELECTRIC_MOTOR, MOTULATOR = "electric-motor", "motulator"
 
 
@@ -47,13 +48,13 @@ def plant_named(name: str) -> Plant:
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option(
     "--plant",
-    type=click.Choice([OWN, THIRD, MUJOCO, ELECTRIC_MOTOR, MOTULATOR]),
+    type=click.Choice([OWN, THIRD, MUJOCO, ELECTRIC_MOTOR, MOTULATOR, GAS]),
     default=OWN,
     show_default=True,
     help="own: the machine of the simulated bench; third: differential equations written from the "
     "paper alone; mujoco: a machine in MuJoCo (needs the extra `mujoco`); electric-motor: a DC "
     "machine of gym-electric-motor; motulator: a synchronous machine and two masses of motulator "
-    "(both need the extra `plants`).",
+    "(both need the extra `plants`); gas: the gas generator of the simulated bench.",
 )
 @click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
@@ -73,10 +74,12 @@ def main(out: Path, plant: str, rigs: int, seed: int, jobs: int, secret: bool) -
       rig prove --from worlds --jobs 2 --out proof
     """
     salt = random_salt if secret else partial(repeated_salt, seed)
-    machine, engine = plant_named(plant), Processes(jobs)
-    for rig in seal_worlds(
-        out, machine, rigs, seed, engine, lambda what, _: click.echo(what, err=True), salt
-    ):
+    seal = seal_gas if plant == GAS else partial(seal_worlds, plant=plant_named(plant))
+
+    def told(what: str, _share: float) -> None:
+        click.echo(what, err=True)
+
+    for rig in seal(out, rigs=rigs, seed=seed, engine=Processes(jobs), progress=told, salt=salt):
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 

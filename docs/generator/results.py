@@ -17,11 +17,12 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.diagnosis import result as diagnosis
+from identification.estimate.fleet import Fleet, Odd, Population, Value
 from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
 from identification.numerics.arrays import RANGED
-from identification.numerics.spread import Spread
+from identification.numerics.spread import Scatter, Spread
 from identification.result import (
     Convergence,
     Fit,
@@ -41,6 +42,7 @@ from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
 from rig.results.catalogue.compare import Figure
+from rig.results.catalogue.study import Studied, Study
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 from rig.sources.look import Clock, Column, Look
@@ -56,11 +58,15 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:transfer_record",
         "rig.results.identify.identify:comparison_record",
     ),
+    "rig identify of several units: fleet.json": ("rig.results.fleet:fleet_record",),
     "rig identify --plan: plan file": (
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
     ),
-    "rig diagnose: diagnose.json": ("rig.results.diagnose.model_file:diagnosis_record",),
+    "rig diagnose: diagnose.json": (
+        "identification.diagnosis.result:Diagnosis.to_dict",
+        "rig.results.diagnose.model_file:diagnosis_record",
+    ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig investigate: investigate.json": (
         "rig.investigate.page:investigation_record",
@@ -108,6 +114,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.compare:_history_record",
         "rig.results.catalogue.compare:_course_record",
     ),
+    "rig runs study --json": (
+        "rig.results.catalogue.study:study_record",
+        "rig.results.catalogue.study:_about",
+    ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
         "rig.results.catalogue.listing:_run_record",
@@ -126,7 +136,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:proof_record",
         "rig.results.prove.score:score",
         "rig.results.prove.score:rate",
-        "rig.results.prove.score:_method",
         "rig.results.prove.score:location_f1",
         "rig.results.prove.score:middle",
         "rig.results.prove.score:power",
@@ -159,12 +168,14 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
             Spread,
         ),
     ),
+    "rig identify of several units: fleet.json": (Fleet, Odd, Population, Value),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
+    "rig runs study --json": (Scatter, Studied, Study),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
 }

@@ -30,11 +30,6 @@ class Amt21Line:
     Args:
         clock: Real or simulated clock, as the port.
         address: Address of the encoder; a multiple of 4.
-
-    Attributes:
-        answer: The last answer without the echo; empty if no answer arrived.
-        asked_ns: Time of the last request, ns.
-        answer_s: Time-out of an answer after its request, s.
     """
 
     def __init__(
@@ -47,9 +42,9 @@ class Amt21Line:
         self.clock = clock
         self.address = address
         self.name = name
-        self.answer = b""
-        self.asked_ns = 0
-        self.answer_s = _FIRST_ANSWER_S
+        self.answer = b""  # the last answer without the echo; empty if no answer arrived
+        self.asked_ns = 0  # time of the last request, ns
+        self.answer_s = _FIRST_ANSWER_S  # time-out of an answer after its request, s
         self._connect = connect
         self._port: BytePort | None = None
         self._echo = b""
@@ -92,6 +87,8 @@ class Amt21Line:
         try:
             port.discard()
             port.write(request)
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self.asked_ns = self.clock.now_ns()
@@ -127,6 +124,8 @@ class Amt21Line:
                 heard += got
                 if not got and left <= 0:
                     break
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), self.address, heard, False))

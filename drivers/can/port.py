@@ -21,8 +21,7 @@ from drivers.port_errors import close_all, os_errors
 MAX_COLLECTED: Final = 1024
 """Greatest number of frames of one call: no device can block the control loop by sending."""
 
-SEND_LIMIT_S: Final = 0.1
-"""Time-out within which an interface must accept a frame, s."""
+SEND_LIMIT_S: Final = 0.1  # time-out within which an interface must accept a frame, s
 
 _CONNECT_LIMIT_S: Final = 0.5
 _HIGHEST_BASE: Final = 0x7FF

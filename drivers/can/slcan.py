@@ -45,8 +45,7 @@ _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
 """Answers to an accepted command; before a BEL, the empty answer is a refusal."""
-MAX_LINE: Final = 64
-"""Greatest number of characters of a line; the longest frame has 30 characters."""
+MAX_LINE: Final = 64  # greatest number of characters of a line; the longest frame has 30 characters
 
 
 def encode(identifier: int, data: bytes) -> bytes:
@@ -65,13 +64,10 @@ class LineDecoder:
     A line that is neither a complete frame nor an answer to a command is dropped as a whole and
     counted, because a part of the line could resemble a frame that was never sent. The next line is
     decoded normally.
-
-    Attributes:
-        bad: Number of lines dropped so far.
     """
 
     def __init__(self) -> None:
-        self.bad = 0
+        self.bad = 0  # number of lines dropped so far
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
@@ -137,16 +133,13 @@ class SlcanPort:
         clock: Clock for the time stamps of frames.
         bitrate: Bit rate of the CAN bus, bit/s.
 
-    Attributes:
-        decoder: The decoder, which counts bad lines.
-
     Raises:
         OSError: The line is gone, or slcan adapters do not support this bit rate.
     """
 
     @os_errors
     def __init__(self, line: BytePort, clock: Clock, bitrate: int) -> None:
-        self.decoder = LineDecoder()
+        self.decoder = LineDecoder()  # the decoder, which counts bad lines
         self._line = line
         self._clock = clock
         speed = SPEEDS.get(bitrate)

@@ -61,27 +61,16 @@ def settings(channel: ProcessChannel, cycle_s: float) -> list[tuple[ObjectAddres
 
 @dataclass(frozen=True)
 class Cyclic:
-    """Objects that the drive sends in every cycle, or None for each object that the drive lacks.
+    """Objects that the drive sends in every cycle, or None for each object that the drive lacks."""
 
-    Attributes:
-        current: Motor current, or the torque from which the current is computed.
-        current_unit_A: Current that one unit of ``current`` means, A, without sign.
-        speed: Motor speed.
-        time: Time stamp.
-        voltage: Motor voltage.
-        supply: Supply voltage.
-        temperature: Temperature.
-        torque: Torque, for a drive that sends a current too.
-    """
-
-    current: ObjectAddress | None
-    current_unit_A: float
-    speed: ObjectAddress | None
-    time: ObjectAddress | None
-    voltage: ObjectAddress | None
-    supply: ObjectAddress | None
+    current: ObjectAddress | None  # motor current, or the torque from which the current is computed
+    current_unit_A: float  # current that one unit of `current` means, A, without sign
+    speed: ObjectAddress | None  # motor speed
+    time: ObjectAddress | None  # time stamp
+    voltage: ObjectAddress | None  # motor voltage
+    supply: ObjectAddress | None  # supply voltage
     temperature: ObjectAddress | None
-    torque: ObjectAddress | None = None
+    torque: ObjectAddress | None = None  # torque, for a drive that sends a current too
 
 
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:

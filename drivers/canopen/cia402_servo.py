@@ -62,8 +62,7 @@ from drivers.objects import (
 from drivers.transitions import FAULTS, SteppedServo
 from drivers.units import ServoScales
 
-HOMING: Final = 6
-"""Value of 6060h."""
+HOMING: Final = 6  # value of 6060h
 HOME_OFFSET: Final = (0x607C, 0)
 METHOD: Final = (0x6098, 0)
 SEARCH_SPEED: Final = (0x6099, 1)

@@ -22,8 +22,7 @@ from drivers.objects import VENDOR
 
 FOLDER: Final = Path(__file__).with_name("devices")
 PRODUCT: Final = (0x1018, 2)
-SIMULATED: Final = "loadrig_simulated"
-"""Name of the data of the simulated drive."""
+SIMULATED: Final = "loadrig_simulated"  # name of the data of the simulated drive
 
 _Index = Annotated[int, Field(ge=0, le=0xFFFF)]
 _Subindex = Annotated[int, Field(ge=0, le=0xFF)]

@@ -18,16 +18,11 @@ from drivers.errors import ConfigurationError
 
 @dataclass
 class Section:
-    """One section of the file.
+    """One section of the file."""
 
-    Attributes:
-        name: Name of the section as in the file.
-        line: Line of the section's head, counted from 1.
-        values: Key in lower case to its value and line.
-    """
-
-    name: str
-    line: int
+    name: str  # name of the section as in the file
+    line: int  # line of the section's head, counted from 1
+    # Key in lower case to its value and line.
     values: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def text(self, key: str, default: str = "") -> str:
@@ -240,18 +235,15 @@ Address = tuple[int, int]
 
 
 class Described(ObjectDictionary):
-    """Objects of a device as its EDS describes them.
-
-    Attributes:
-        faults: Index and subindex of each object whose description cannot be used, to the reason
-            with file and line. Such an object is omitted.
-        identity: Vendor number and product number in the header of the file; None for a number that
-            the header does not state.
-    """
+    """Objects of a device as its EDS describes them."""
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
+        # Index and subindex of each object whose description cannot be used, to the reason with
+        # file and line. Such an object is omitted.
         self.faults: dict[Address, str] = {}
+        # Vendor number and product number in the header of the file; None for a number that the
+        # header does not state.
         self.identity: tuple[int | None, int | None] = (None, None)
 
 

@@ -58,8 +58,7 @@ _ERROR_CONTROL: Final = 0x700
 _REQUEST: Final = bytes(1)
 """A guard request has the length of its answer; a remote frame has no data."""
 _ENTER_PRE_OPERATIONAL: Final = 0x80
-_PROBE_S: Final = 0.1
-"""Time in which a device answers a guard request."""
+_PROBE_S: Final = 0.1  # time in which a device answers a guard request
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 NMT_NAMES: Final = {
@@ -86,15 +85,12 @@ def require_node(node_id: int, taken: Container[int]) -> None:
 class Guarding:
     """Node guarding of one device (CiA 301, 7.2.8.2.2.1): this program requests the NMT state by a
     remote frame, and the toggle bit of the answer alternates.
-
-    Attributes:
-        unanswered_ns: Time of the first request since the last answer, or None.
-        toggle: Toggle bit of the last answer, or None before the first.
     """
 
     def __init__(self) -> None:
+        # Time of the first request since the last answer, or None.
         self.unanswered_ns: int | None = None
-        self.toggle: int | None = None
+        self.toggle: int | None = None  # toggle bit of the last answer, or None before the first
 
     def asked(self, now_ns: int) -> None:
         """Register a request."""
@@ -113,38 +109,29 @@ class Guarding:
 class CanopenNode:
     """A device behind a :class:`~drivers.canopen.link.CanopenLink`; a
     :class:`~drivers.objects.ProcessChannel`.
-
-    Attributes:
-        node_id: Node identifier, 1 to 127.
-        sdo: SDO client for the device.
-        outputs: Data of each RPDO for the next exchange, by CAN identifier.
-        inputs: Last frame of each TPDO, by CAN identifier.
-        expected: Number of TPDOs that the device sends with every SYNC.
-        missing: Number of these TPDOs that have not been received since the last exchange began.
-        cycle: Number of the last exchange.
-        nmt_state: NMT state in the last heartbeat; None before the first heartbeat.
-        heard_ns: Time of the last heartbeat, ns.
-        silence_ns: Time without a heartbeat after which the device counts as lost, ns.
-        monitored: Whether process data is exchanged, so that a lost device is detected; False
-            after the device was reported as lost.
-        guarding: Node guarding, or None for a device that sends heartbeats.
     """
 
     def __init__(
         self, node_id: int, dictionary: ObjectDictionary, wire: CanopenLink, axis: Axis = ONE_AXIS
     ) -> None:
-        self.node_id = node_id
+        self.node_id = node_id  # node identifier, 1 to 127
         self._axis = axis
-        self.sdo = PumpedSdoClient(node_id, dictionary, wire)
+        self.sdo = PumpedSdoClient(node_id, dictionary, wire)  # SDO client for the device
+        # Data of each RPDO for the next exchange, by CAN identifier.
         self.outputs: dict[int, bytes] = {}
-        self.inputs: dict[int, Input] = {}
-        self.expected = 0
+        self.inputs: dict[int, Input] = {}  # last frame of each TPDO, by CAN identifier
+        self.expected = 0  # number of TPDOs that the device sends with every SYNC
+        # Number of these TPDOs that have not been received since the last exchange began.
         self.missing = 0
-        self.cycle = wire.cycle
+        self.cycle = wire.cycle  # number of the last exchange
+        # NMT state in the last heartbeat; None before the first heartbeat.
         self.nmt_state: int | None = None
-        self.heard_ns = 0
-        self.silence_ns = 0
+        self.heard_ns = 0  # time of the last heartbeat, ns
+        self.silence_ns = 0  # time without a heartbeat after which the device counts as lost, ns
+        # Whether process data is exchanged, so that a lost device is detected; False after the
+        # device was reported as lost.
         self.monitored = False
+        # Node guarding, or None for a device that sends heartbeats.
         self.guarding: Guarding | None = None
         self._wire = wire
         self._dictionary = dictionary
@@ -574,8 +561,7 @@ def explain(code: int) -> str:
     return f"{_CLASSES.get(code >> 12, 'unknown class')}; see the drive's manual"
 
 
-MASTER_ID: Final = 0x7F
-"""Node identifier of this program's own heartbeat."""
+MASTER_ID: Final = 0x7F  # node identifier of this program's own heartbeat
 _FRAMES_KEPT: Final = 1 << 16
 _SIGN_NS: Final = round(SIGN_S * NS)
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
@@ -593,13 +579,6 @@ class CanopenLink(Link):
         name: Name of the bus in messages.
         master_id: Node identifier of the master's heartbeat.
         sdo_timeout_s: Time-out of an SDO request, s.
-
-    Attributes:
-        cycle: Number of exchanges so far.
-        sync_ns: Time of the last SYNC.
-        exchanged: Whether the last exchange sent all outputs and SYNC.
-        alive_until_ns: Time until which the signs of the control loop are sent also while an SDO
-            answer is awaited; 0 to send them in exchanges only.
     """
 
     def __init__(
@@ -611,9 +590,11 @@ class CanopenLink(Link):
         sdo_timeout_s: float = 0.3,
     ) -> None:
         self.clock = clock
-        self.cycle = 0
-        self.sync_ns = 0
-        self.exchanged = False
+        self.cycle = 0  # number of exchanges so far
+        self.sync_ns = 0  # time of the last SYNC
+        self.exchanged = False  # whether the last exchange sent all outputs and SYNC
+        # Time until which the signs of the control loop are sent also while an SDO answer is
+        # awaited; 0 to send them in exchanges only.
         self.alive_until_ns = 0
         self.master_id = master_id
         self.sdo_timeout_s = sdo_timeout_s
@@ -732,6 +713,8 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             port.transmit(identifier, data)
+        except DeviceError:
+            raise
         except Exception as error:
             self._check_gone(error)
             raise LinkError(
@@ -800,6 +783,8 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)
+        except DeviceError:
+            raise
         except Exception as error:
             self._check_gone(error)
             raise LinkError(

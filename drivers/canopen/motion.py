@@ -24,24 +24,17 @@ command computed from it acts, so that the delay reduces the phase margin by 0.1
 """
 SPEED_CYCLES: Final = 0.15
 """Product of speed-loop bandwidth and cycle time; the delay takes 0.3 rad (17 deg) of phase."""
-RATIO: Final = 0.4
-"""Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
+RATIO: Final = 0.4  # greatest ratio of a derived position gain to the bandwidth of the speed loop
 
 
 @dataclass(frozen=True)
 class LoopGains:
-    """Gains of the position loop and the speed loop.
+    """Gains of the position loop and the speed loop."""
 
-    Attributes:
-        position_1_s: Speed command per position error, 1/s.
-        speed_N_m_s_rad: Torque command per speed error, N m s/rad; 0 for a drive that is commanded
-            by a speed.
-        reset_1_s: Inverse reset time of the speed loop, 1/s.
-    """
-
-    position_1_s: float
+    position_1_s: float  # speed command per position error, 1/s
+    # Torque command per speed error, N m s/rad; 0 for a drive that is commanded by a speed.
     speed_N_m_s_rad: float = 0.0
-    reset_1_s: float = 0.0
+    reset_1_s: float = 0.0  # inverse reset time of the speed loop, 1/s
 
 
 class LoopState(NamedTuple):
@@ -167,33 +160,23 @@ class Observed(NamedTuple):
 
 
 class Motion(ABC):
-    """One mode of operation.
+    """One mode of operation."""
 
-    Attributes:
-        mode: Value of 6060h.
-        words: Name of the mode.
-        target: Object that holds the command of this mode.
-        unheld: Objects of limits that a drive need not obey in this mode.
-        needs_watch: Whether the mode is safe only with a drive that detects a lost master by
-            itself.
-        follows: Whether the drive follows the commands of the exchanges, and does not move by
-            itself.
-        remarks: Sentences with what the operator must know of this mode.
-        offset: Torque offset, in units of 60B2h.
-        takes_offset: Whether the torque offset is sent.
-    """
-
-    mode: ClassVar[int]
-    words: ClassVar[str]
-    target: ClassVar[ObjectAddress]
+    mode: ClassVar[int]  # value of 6060h
+    words: ClassVar[str]  # name of the mode
+    target: ClassVar[ObjectAddress]  # object that holds the command of this mode
+    # Objects of limits that a drive need not obey in this mode.
     unheld: ClassVar[frozenset[ObjectAddress]] = frozenset()
+    # Whether the mode is safe only with a drive that detects a lost master by itself.
     needs_watch: ClassVar[bool] = False
+    # Whether the drive follows the commands of the exchanges, and does not move by itself.
     follows: ClassVar[bool] = True
+    # Sentences with what the operator must know of this mode.
     remarks: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self) -> None:
-        self.offset = 0
-        self.takes_offset = False
+        self.offset = 0  # torque offset, in units of 60B2h
+        self.takes_offset = False  # whether the torque offset is sent
         self._cycle_s = 0.0
 
     @property
@@ -423,10 +406,7 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        return {
-            **super().needed,
-            servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
-        }
+        return {**super().needed, servo_limits.PROFILE_SPEED: "it limits the speed of the profile"}
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
         unit = self._scales.joint_speed_unit_rad_s
@@ -462,23 +442,16 @@ UNIT: Final[ObjectAddress] = (0x60A9, 0)
 """SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
 ACCELERATION_UNIT: Final[ObjectAddress] = (0x60AA, 0)
 """SI unit of the acceleration (CiA 402-2): power of ten, numerator, denominator, reserved."""
-RPM: Final = 2.0 * math.pi / 60.0
-"""Speed of one turn per minute, rad/s."""
-_NUMERATORS: Final[Mapping[int, float]] = {
-    0x10: 1.0,
-    0x41: math.pi / 180.0,
-    0xB4: 2.0 * math.pi,
-}
+RPM: Final = 2.0 * math.pi / 60.0  # speed of one turn per minute, rad/s
+_NUMERATORS: Final[Mapping[int, float]] = {0x10: 1.0, 0x41: math.pi / 180.0, 0xB4: 2.0 * math.pi}
 """Codes of CiA 303-2 for radian, degree and revolution, to the angle in rad."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
 """Codes of the time units second, minute and hour, to the time in s."""
 _RPM_CODE: Final = 0xC0
-_SQUARE_SECOND: Final = 0x57
-"""Codes in 60AAh for revolutions per minute and for the square second."""
+_SQUARE_SECOND: Final = 0x57  # codes in 60AAh for revolutions per minute and for the square second
 _POWERS: Final = (-3, -2, -1, 1, 2, 3)
 """Powers of ten by which the true unit may differ from the unit in the bench file."""
-_SAME: Final = 0.01
-"""Relative difference up to which two units count as equal."""
+_SAME: Final = 0.01  # relative difference up to which two units count as equal
 _UNUSUAL: Final = 3.0
 """A decimal multiple is chosen in place of a named unit only if, on a logarithmic scale, the
 distance to the named unit is more than so many times the distance to the multiple.

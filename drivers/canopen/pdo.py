@@ -81,17 +81,12 @@ def packing(
 class Direction:
     """The PDOs of one direction from the device's side: receive (RPDO) or transmit (TPDO); CiA 301,
     7.5.2.33.
-
-    Attributes:
-        name: Name in messages.
-        communication: Index of the communication record of PDO 1; the mapping record has an index
-            200h higher.
-        identifiers: CAN identifier of PDO 1 less the node identifier, in the predefined connection
-            set.
     """
 
-    name: str
+    name: str  # name in messages
+    # Index of the communication record of PDO 1; the mapping record has an index 200h higher.
     communication: int
+    # CAN identifier of PDO 1 less the node identifier, in the predefined connection set.
     identifiers: int
 
 

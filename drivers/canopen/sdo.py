@@ -26,10 +26,8 @@ _REQUEST, _ANSWER = 0x600, 0x580
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """Object address in an abort message of a server that does not state the object."""
-_LATE_ANSWERS = 64
-"""Number of answers to other requests that are skipped."""
-_STEP_S = 0.01
-"""Longest wait for a response before a sign of the control loop may be due, s."""
+_LATE_ANSWERS = 64  # number of answers to other requests that are skipped
+_STEP_S = 0.01  # longest wait for a response before a sign of the control loop may be due, s
 _INITIATE = (1, 2)
 """Command specifiers with which a client starts a download or an upload (CiA 301, 7.2.4.3)."""
 
@@ -54,14 +52,9 @@ class Wire(Protocol):
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that receives frames of the link while it waits, in simulated time and in real
-    time.
+    """SDO client that receives frames of the link while it waits, in simulated and in real time."""
 
-    Attributes:
-        limit_s: Time-out of an answer, s; None for the time-out of the link.
-    """
-
-    limit_s: float | None = None
+    limit_s: float | None = None  # time-out of an answer, s; None for the time-out of the link
 
     def __init__(self, node_id: int, od: ObjectDictionary, wire: Wire) -> None:
         super().__init__(_REQUEST + node_id, _ANSWER + node_id, od)  # type: ignore[no-untyped-call]
@@ -193,18 +186,14 @@ _LISTS: Final = frozenset({0x60E3})
 
 @dataclass(frozen=True)
 class Axis:
-    """Addresses of the objects of one axis; the profile uses those of the first axis in CiA 402.
+    """Addresses of the objects of one axis; the profile uses those of the first axis in CiA 402."""
 
-    Attributes:
-        object_offset: Number that is added to the indices 6000h to 67FFh.
-        sub_index: Subindex of the axis in each of these objects that has members instead of a
-            single value; 0 for a device without such objects. A statusword 6041h:00h of 32 bits
-            then contains the statuswords of the axes, the first one in the low 16 bits.
-        unlike: Objects with another meaning than in CiA 402, which are not used.
-    """
-
-    object_offset: int = 0
+    object_offset: int = 0  # number that is added to the indices 6000h to 67FFh
+    # Subindex of the axis in each of these objects that has members instead of a single value; 0
+    # for a device without such objects. A statusword 6041h:00h of 32 bits then contains the
+    # statuswords of the axes, the first one in the low 16 bits.
     sub_index: int = 0
+    # Objects with another meaning than in CiA 402, which are not used.
     unlike: Collection[ObjectAddress] = ()
 
     def at(self, dictionary: ObjectDictionary, index: int, subindex: int) -> ObjectAddress:

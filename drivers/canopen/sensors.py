@@ -29,8 +29,7 @@ from drivers.objects import (
 from drivers.units import EncoderScales, Unwrapper, nearest
 
 _POSITION: Final = 1
-ENCODER_FRAMES: Final = ((8, 1),)
-"""Data bytes of the PDO of an encoder and its period in cycles."""
+ENCODER_FRAMES: Final = ((8, 1),)  # data bytes of the PDO of an encoder and its period in cycles
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
 """Objects with the steps per turn: as configured (class 2), or of the disc (class 1)."""

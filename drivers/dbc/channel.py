@@ -25,25 +25,16 @@ class Slot:
     A frame with a wrong length or checksum, or with a life counter that did not change or
     decreased, updates nothing. After a counter that decreased the next frame is accepted, because
     the drive may have restarted.
-
-    Attributes:
-        message: The message.
-        data: Data of the frame.
-        count: Number of valid frames so far.
-        cycle: Number of the exchange in which the last valid frame was received.
-        time_ns: Time of the last valid frame, ns.
-        refused: Number of invalid frames.
-        pages: Pages of this message, each with its slot.
     """
 
     def __init__(self, message: BoundMessage) -> None:
         self.message = message
-        self.data = bytes(message.size)
-        self.count = 0
-        self.cycle = -1
-        self.time_ns = 0
-        self.refused = 0
-        self.pages: list[tuple[BoundPage, Slot]] = []
+        self.data = bytes(message.size)  # data of the frame
+        self.count = 0  # number of valid frames so far
+        self.cycle = -1  # number of the exchange in which the last valid frame was received
+        self.time_ns = 0  # time of the last valid frame, ns
+        self.refused = 0  # number of invalid frames
+        self.pages: list[tuple[BoundPage, Slot]] = []  # pages of this message, each with its slot
         self._counter = message.counter
         self._checksum = message.checksum
         self._last: int | None = None

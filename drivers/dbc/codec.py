@@ -26,33 +26,23 @@ class Signal:
     A frame is read as one integer, with the most significant byte first if ``motorola``, else with
     the least significant byte first. The signal consists of the ``width`` bits of this integer from
     bit ``shift`` on.
-
-    Attributes:
-        shift: Position of the least significant bit.
-        width: Number of bits.
-        motorola: Byte order (``@0`` in the DBC).
-        signed: Whether the value is in two's complement.
-        real: Whether the value is an IEEE 754 number of 32 or 64 bits.
-        factor: Physical value of one raw unit.
-        offset: Physical value at the raw value 0.
-        labels: Names of raw values (``VAL_``).
-        selector: In a multiplexed message, the signal whose value determines whether this signal is
-            in the frame, or None for a signal that is in every frame.
-        pages: Raw values of the selector for which this signal is in the frame.
     """
 
     name: str
     size: int
-    shift: int
-    width: int
-    motorola: bool = False
-    signed: bool = False
-    real: bool = False
-    factor: float = 1.0
-    offset: float = 0.0
+    shift: int  # position of the least significant bit
+    width: int  # number of bits
+    motorola: bool = False  # byte order (`@0` in the DBC)
+    signed: bool = False  # whether the value is in two's complement
+    real: bool = False  # whether the value is an IEEE 754 number of 32 or 64 bits
+    factor: float = 1.0  # physical value of one raw unit
+    offset: float = 0.0  # physical value at the raw value 0
+    # Names of raw values (`VAL_`).
     labels: Mapping[int, str] = field(default_factory=lambda: NO_LABELS, compare=False)
+    # In a multiplexed message, the signal whose value determines whether this signal is in the
+    # frame, or None for a signal that is in every frame.
     selector: Signal | None = None
-    pages: tuple[int, ...] = ()
+    pages: tuple[int, ...] = ()  # raw values of the selector for which this signal is in the frame
 
     @cached_property
     def mask(self) -> int:
@@ -220,42 +210,29 @@ def checksum_of(
 
 @dataclass(frozen=True)
 class BoundMessage:
-    """A message that the map uses, with counter and checksum.
-
-    Attributes:
-        counter: Signal of the life counter, or None without a counter.
-        checksum: Signal of the checksum, or None without a checksum.
-        algorithm: Function that computes the checksum of a frame; the result does not depend on the
-            present value of the checksum.
-        turn: Number of values of the life counter, after which it starts again at 0.
-        period_s: Sending period, s; 0 for every control cycle.
-        remote: Whether the drive sends the message only in answer to a remote frame.
-    """
+    """A message that the map uses, with counter and checksum."""
 
     name: str
     identifier: int
     size: int
-    counter: Signal | None
-    checksum: Signal | None
+    counter: Signal | None  # signal of the life counter, or None without a counter
+    checksum: Signal | None  # signal of the checksum, or None without a checksum
+    # Function that computes the checksum of a frame; the result does not depend on the present
+    # value of the checksum.
     algorithm: Callable[[bytes], int]
-    period_s: float
-    remote: bool = False
-    turn: int = 0
+    period_s: float  # sending period, s; 0 for every control cycle
+    remote: bool = False  # whether the drive sends the message only in answer to a remote frame
+    turn: int = 0  # number of values of the life counter, after which it starts again at 0
 
 
 @dataclass(frozen=True)
 class BoundPage:
-    """One page of a multiplexed message that the drive sends.
-
-    Attributes:
-        number: Raw value of the selector.
-        count: Number of pages of the message.
-    """
+    """One page of a multiplexed message that the drive sends."""
 
     message: str
     selector: Signal
-    number: int
-    count: int
+    number: int  # raw value of the selector
+    count: int  # number of pages of the message
 
 
 @dataclass(frozen=True)
@@ -309,69 +286,48 @@ class BoundLimit:
     held: BoundQuantity | None
 
 
-Images = Mapping[str, bytes]
-"""Frame of each message by name; all bits that no value sets are zero."""
+Images = Mapping[str, bytes]  # frame of each message by name; all bits that no value sets are zero
 
 
 @dataclass(frozen=True)
 class Order:
-    """The frames of one order.
+    """The frames of one order."""
 
-    Attributes:
-        frames: A frame of every message that is sent in each cycle, and of the messages that this
-            order names and that are sent only with an order.
-        own_target: Whether the order sets bits of the target itself; the program then does not
-            write the target into the frame.
-    """
-
+    # A frame of every message that is sent in each cycle, and of the messages that this order names
+    # and that are sent only with an order.
     frames: Images
+    # Whether the order sets bits of the target itself; the program then does not write the target
+    # into the frame.
     own_target: bool = False
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """A signal map after its names were resolved.
+    """A signal map after its names were resolved."""
 
-    Attributes:
-        received: Messages that the drive sends, by name.
-        pages: Pages of multiplexed messages that the map uses, by key.
-        sampled: Names of the received messages, and keys of the pages, that make up a sample.
-        sent: Messages that the host sends periodically, by name.
-        once: Messages that the host sends only with an order that contains them, by name.
-        settings: Messages that contain limits, by name.
-        inputs: Quantities by name in the map.
-        limits: Limits that can be written, by name in the map.
-        status_message: Message or page that contains the state.
-        status: Signal of the state.
-        states: State of each raw status value.
-        asked: Whether the drive sends messages without a period only in answer to a command.
-        target: Signal of the commanded position.
-        torque_offset: Signal of the torque offset, or None without a torque offset.
-        enable: Orders that lead toward power, by state.
-        stop_message: Message of the stop frame.
-        stop_image: Data of the stop frame, without counter and checksum.
-    """
-
-    received: Mapping[str, BoundMessage]
-    pages: Mapping[str, BoundPage]
+    received: Mapping[str, BoundMessage]  # messages that the drive sends, by name
+    pages: Mapping[str, BoundPage]  # pages of multiplexed messages that the map uses, by key
+    # Names of the received messages, and keys of the pages, that make up a sample.
     sampled: frozenset[str]
-    sent: Mapping[str, BoundMessage]
+    sent: Mapping[str, BoundMessage]  # messages that the host sends periodically, by name
+    # Messages that the host sends only with an order that contains them, by name.
     once: Mapping[str, BoundMessage]
-    settings: Mapping[str, BoundMessage]
-    inputs: Mapping[str, BoundQuantity]
-    limits: Mapping[str, BoundLimit]
-    status_message: str
-    status: Signal
-    states: Mapping[float, ServoState]
-    asked: bool
-    target: BoundQuantity
+    settings: Mapping[str, BoundMessage]  # messages that contain limits, by name
+    inputs: Mapping[str, BoundQuantity]  # quantities by name in the map
+    limits: Mapping[str, BoundLimit]  # limits that can be written, by name in the map
+    status_message: str  # message or page that contains the state
+    status: Signal  # signal of the state
+    states: Mapping[float, ServoState]  # state of each raw status value
+    asked: bool  # whether the drive sends messages without a period only in answer to a command
+    target: BoundQuantity  # signal of the commanded position
+    # Signal of the torque offset, or None without a torque offset.
     torque_offset: BoundQuantity | None
     disable: Order
     stop: Order
     reset: Order
-    enable: Mapping[ServoState, Order]
-    stop_message: BoundMessage
-    stop_image: bytes
+    enable: Mapping[ServoState, Order]  # orders that lead toward power, by state
+    stop_message: BoundMessage  # message of the stop frame
+    stop_image: bytes  # data of the stop frame, without counter and checksum
 
     @cached_property
     def reported(self) -> Mapping[str, BoundQuantity]:

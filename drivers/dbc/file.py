@@ -42,21 +42,15 @@ _PLACE: Final = re.compile(r"line (\d+), column (\d+)")
 
 @dataclass(frozen=True)
 class Layout:
-    """One message of a DBC.
-
-    Attributes:
-        identifier: CAN identifier; bit 31 is set if the identifier has 29 bits.
-        size: Number of bytes.
-        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s, or None if the DBC has none.
-        obstacle: Reason why the message cannot be used; empty if it can be used.
-    """
+    """One message of a DBC."""
 
     name: str
-    identifier: int
-    size: int
+    identifier: int  # CAN identifier; bit 31 is set if the identifier has 29 bits
+    size: int  # number of bytes
+    # Cycle time in the DBC (`GenMsgCycleTime`), s, or None if the DBC has none.
     period_s: float | None
     signals: Mapping[str, Signal]
-    obstacle: str = ""
+    obstacle: str = ""  # reason why the message cannot be used; empty if it can be used
 
 
 def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
@@ -259,36 +253,26 @@ def _signal(signal: FileSignal, size: int, selector: Signal | None = None) -> Si
     )
 
 
-Place = tuple[str | int, ...]
-"""Keys that lead from the top of the map to a faulty value."""
+Place = tuple[str | int, ...]  # keys that lead from the top of the map to a faulty value
 Problem = tuple[Place, str]
 
 
 class DbcMapError(Exception):
-    """The map does not fit the DBC.
-
-    Attributes:
-        problems: Place in the map and description of each problem.
-    """
+    """The map does not fit the DBC."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
-        self.problems = tuple(problems)
+        self.problems = tuple(problems)  # place in the map and description of each problem
         super().__init__(
             "; ".join(f"{'.'.join(map(str, place))}: {text}" for place, text in self.problems)
         )
 
 
 class Names:
-    """Looks up the names of a map in a DBC, and collects the problems, so that all problems are
-    reported together.
-
-    Attributes:
-        problems: The problems found so far.
-    """
+    """Looks up the names of a map in a DBC, and collects the problems to report them together."""
 
     def __init__(self, layouts: Mapping[str, Layout]) -> None:
         self.layouts = layouts
-        self.problems: list[Problem] = []
+        self.problems: list[Problem] = []  # the problems found so far
 
     def report(self, place: Place, text: str) -> None:
         """Add a problem."""

@@ -40,26 +40,20 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class DbcDrive:
-    """Data of the bench file about a drive, without its signals.
+    """Data of the bench file about a drive, without its signals."""
 
-    Attributes:
-        identity: Identity of the drive; if the map has signals of serial number and revision, their
-            values replace ``serial_number`` and ``revision``.
-        held: Limits that are set in the drive with the maker's tool; limits that the drive reports
-            over the bus replace these limits.
-        gear_ratio: Motor turns per joint turn.
-        torque_constant_N_m_A: Torque constant, N m/A, which converts a torque signal into a
-            current.
-        offset_rad: Joint angle at position 0.
-        watchdog_s: Time without a command after which the drive stops by itself, s, or None if the
-            drive has no watchdog.
-    """
-
+    # Identity of the drive; if the map has signals of serial number and revision, their values
+    # replace `serial_number` and `revision`.
     identity: Identity
+    # Limits that are set in the drive with the maker's tool; limits that the drive reports over the
+    # bus replace these limits.
     held: ServoLimits
-    gear_ratio: float
+    gear_ratio: float  # motor turns per joint turn
+    # Torque constant, N m/A, which converts a torque signal into a current.
     torque_constant_N_m_A: float
-    offset_rad: float
+    offset_rad: float  # joint angle at position 0
+    # Time without a command after which the drive stops by itself, s, or None if the drive has no
+    # watchdog.
     watchdog_s: float | None
 
 

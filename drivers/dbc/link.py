@@ -18,8 +18,7 @@ from drivers.port_errors import close_all
 
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
-_ASK_S: Final = 0.02
-"""Time after which a drive is asked again if no answer has arrived, s."""
+_ASK_S: Final = 0.02  # time after which a drive is asked again if no answer has arrived, s
 
 
 class DbcLink(CanopenLink):

@@ -48,17 +48,13 @@ class Frame(NamedTuple):
     data: bytes
 
 
-OBJECT: Final = struct.Struct("<BHB")
-"""Node identifier, index and subindex."""
-TOTAL: Final = struct.Struct("<I")
-"""Number of bytes of an object that is transferred in segments."""
+OBJECT: Final = struct.Struct("<BHB")  # node identifier, index and subindex
+TOTAL: Final = struct.Struct("<I")  # number of bytes of an object that is transferred in segments
 ERROR: Final = struct.Struct("<I")
 """First field of every answer: 0 if the request was accepted, or an error code."""
-NMT: Final = struct.Struct("<HH")
-"""Node identifier and command specifier."""
+NMT: Final = struct.Struct("<HH")  # node identifier and command specifier
 TOGGLE: Final = 0x01
-LAST: Final = 0x02
-"""Bits of a segment's control byte."""
+LAST: Final = 0x02  # bits of a segment's control byte
 
 
 def crc(words: bytes) -> int:
@@ -94,13 +90,10 @@ class FrameDecoder:
     A frame with a wrong CRC or wrong byte stuffing is dropped. The search for the next frame
     continues after the first two bytes of the dropped frame, so that a good frame behind or within
     the damaged bytes is found.
-
-    Attributes:
-        bad: Number of frames dropped so far.
     """
 
     def __init__(self) -> None:
-        self.bad = 0
+        self.bad = 0  # number of frames dropped so far
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Frame]:

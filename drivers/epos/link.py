@@ -113,18 +113,13 @@ class _Output:
 
 
 class _Input:
-    """The last good value of one object that the cycle reads.
-
-    Attributes:
-        value: The value.
-        taken_ns: Time at which the drive took it, ns.
-        before: Value and time of the last cycle, as read, or None if that cycle was incomplete.
-    """
+    """The last good value of one object that the cycle reads."""
 
     __slots__ = ("before", "layout", "request", "taken_ns", "value")
 
     def __init__(self, request: bytes, layout: struct.Struct, value: int) -> None:
-        self.taken_ns = 0
+        self.taken_ns = 0  # time at which the drive took it, ns
+        # Value and time of the last cycle, as read, or None if that cycle was incomplete.
         self.before: tuple[int, int] | None = None
         self.request = request
         self.layout = layout
@@ -170,12 +165,6 @@ class EposSerialNode:
     a joint encoder on another line is asked then
     (:meth:`~drivers.epos.link.EposSerialLink.call_at_instant`). The position was taken somewhat
     earlier, and the mean of the current ends somewhat later; both are brought to the instant.
-
-    Attributes:
-        node_id: Node identifier, 1 to 127.
-        cycle: Number of the last exchange.
-        monitored: Whether process data are exchanged; False after the drive was reported as silent.
-        heard_ns: Time of the last complete answer, ns.
     """
 
     def __init__(
@@ -185,14 +174,15 @@ class EposSerialNode:
         line: EposSerialLink,
         fastest_1_s: float = FASTEST_1_S,
     ) -> None:
-        self.node_id = node_id
+        self.node_id = node_id  # node identifier, 1 to 127
         self._line = line
         self._dictionary = dictionary
         self._fastest_1_s = fastest_1_s
-        self.cycle = line.cycle
+        self.cycle = line.cycle  # number of the last exchange
         self._cycle_s = 0.0
+        # Whether process data are exchanged; False after the drive was reported as silent.
         self.monitored = False
-        self.heard_ns = 0
+        self.heard_ns = 0  # time of the last complete answer, ns
         self._outputs: dict[int, tuple[_Output, ...]] = {}
         self._word: int | None = None
         self._values: dict[ObjectAddress, _Input] = {}
@@ -522,10 +512,6 @@ class EposSerialLink(Link):
         answer_s: Time-out of an answer outside the control cycle, s.
         guard: Guard that is armed while a drive may be energised, or None without a guard.
         silence_s: Greatest time without a complete answer of a drive in the control cycle, s.
-
-    Attributes:
-        cycle: Number of exchanges so far.
-        lost: Number of requests without a good answer so far.
     """
 
     has_watchdog = False
@@ -541,8 +527,8 @@ class EposSerialLink(Link):
     ) -> None:
         self.clock = clock
         self.guard = guard
-        self.cycle = 0
-        self.lost = 0
+        self.cycle = 0  # number of exchanges so far
+        self.lost = 0  # number of requests without a good answer so far
         self._at_instant: Callable[[], None] = lambda: None
         self._name = name
         self._connect = connect
@@ -740,6 +726,8 @@ class EposSerialLink(Link):
         try:
             port.discard()
             port.write(frame)
+        except DeviceError:
+            raise
         except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
@@ -754,6 +742,8 @@ class EposSerialLink(Link):
                 self.guard.feed()
             try:
                 data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
+            except DeviceError:
+                raise
             except Exception as error:
                 raise self._gone(error) from error
             if data:

@@ -31,20 +31,14 @@ _LONGEST_STEP_NS: Final = 20_000_000
 
 
 class CanDrive(ABC):
-    """A drive that is either off or follows a target; when the power is switched off, the motor
-    coasts.
-
-    Attributes:
-        powered: Whether the power stage is on.
-        fault_code: Cause of the fault; 0 without a fault. In a fault the power is off.
-    """
+    """A drive that is off or follows a target; when power is switched off, the motor coasts."""
 
     lost_code: ClassVar[int]
     """Fault code after a time-out of the watchdog."""
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler) -> None:
-        self.powered = False
-        self.fault_code = 0
+        self.powered = False  # whether the power stage is on
+        self.fault_code = 0  # cause of the fault; 0 without a fault. In a fault the power is off.
         self._clock = clock
         self._sampler = sampler
         self._machine = sampler.machine
@@ -116,8 +110,7 @@ class CanDrive(ABC):
 
 
 MIT_DBC: Final = Path(__file__).with_name("mit_motor.dbc")
-MIT_COMMAND, MIT_REPLY = 0x001, 0x011
-"""CAN identifiers."""
+MIT_COMMAND, MIT_REPLY = 0x001, 0x011  # CAN identifiers
 
 MOTOR: Final = 1
 COMMUNICATION_LOST: Final = 0xD
@@ -207,17 +200,13 @@ _HEARTBEAT_NS: Final = 10_000_000
 
 
 class ODriveAxis(CanDrive):
-    """One axis. An error switches the power off and keeps the axis in IDLE until Clear_Errors.
-
-    Attributes:
-        received: Number of received frames of each identifier.
-    """
+    """One axis. An error switches the power off and keeps the axis in IDLE until Clear_Errors."""
 
     lost_code: ClassVar[int] = WATCHDOG_EXPIRED
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler) -> None:
         super().__init__(bus, clock, sampler)
-        self.received: dict[int, int] = {}
+        self.received: dict[int, int] = {}  # number of received frames of each identifier
         self._modes = (2, PASSTHROUGH)
         self._beat = Timer(clock, self._tell)
 

@@ -21,8 +21,7 @@ from drivers.mock.wires.bus import SimulatedBus, Timer
 
 DRIVE_DBC: Final = Path(__file__).with_name("dbc_drive.dbc")
 STOP, COMMAND, LIMITS = 0x010, 0x110, 0x120
-MOTION, POWER, STATUS, INFO, LIMITS_HELD = 0x190, 0x191, 0x1A0, 0x1B0, 0x1B1
-"""CAN identifiers."""
+MOTION, POWER, STATUS, INFO, LIMITS_HELD = 0x190, 0x191, 0x1A0, 0x1B0, 0x1B1  # CAN identifiers
 
 STOP_CODE: Final = 0xA5
 COMMAND_LOST: Final = 0x11
@@ -94,35 +93,25 @@ POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 
 
 class DbcDrive:
-    """The drive. At each command the drive samples the sensors, executes the command, and answers
-    with two frames.
-
-    Attributes:
-        state: State of the drive.
-        fault_code: Cause of the fault; 0 without fault.
-        limits: Limits of the drive, in the order of ``DRV_Limits``.
-        entered: Function that is called with each new state at the time of the change.
-        deaf_to: Orders that the drive ignores.
-        locked: Whether the drive refuses to change its limits.
-        counting: Whether the life counters of the drive advance.
-    """
+    """The drive. Each command makes it sample its sensors, execute, and answer with two frames."""
 
     def __init__(
         self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler, clock_offset_us: int = 0
     ) -> None:
-        self.state = State.OFF
-        self.fault_code = 0
+        self.state = State.OFF  # state of the drive
+        self.fault_code = 0  # cause of the fault; 0 without fault
+        # Function that is called with each new state at the time of the change.
         self.entered: list[Callable[[State], None]] = []
-        self.deaf_to: frozenset[Order] = frozenset()
-        self.locked = False
-        self.counting = True
+        self.deaf_to: frozenset[Order] = frozenset()  # orders that the drive ignores
+        self.locked = False  # whether the drive refuses to change its limits
+        self.counting = True  # whether the life counters of the drive advance
         self._clock = clock
         self._clock_offset_us = clock_offset_us
         self._sampler = sampler
         self._machine = sampler.machine
         increments, turns = encoder_resolution(self._machine.constants)
         self._counts_per_turn = increments / turns
-        self.limits = COMMISSIONED
+        self.limits = COMMISSIONED  # limits of the drive, in the order of `DRV_Limits`
         self._take_limits(COMMISSIONED)
         self._reading: Reading = sampler.peek(clock.now_ns())
         self._order = Order.OFF

@@ -7,7 +7,6 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Final
 
 from drivers.clock import NS, SimulatedClock
@@ -35,16 +34,15 @@ from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
 from drivers.mock.plant.machine import DrivenMachine, Reading
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.sampler import Sampler, encoder_resolution
+from drivers.mock.traits import DRIVE_EDS as DRIVE_EDS
 from drivers.mock.traits import OwnObjects, Traits
 from drivers.mock.wires.bus import SimulatedBus, Timer
 
 HM: Final = 6
-METHODS: Final = (17, 18, 35, 37)
-"""Homing methods that object 60E3h lists."""
+METHODS: Final = (17, 18, 35, 37)  # homing methods that object 60E3h lists
 REACHED: Final = 0x0400
 ATTAINED: Final = 0x1000
-HOMING_ERROR: Final = 0x2000
-"""Bits of the statusword in homing mode."""
+HOMING_ERROR: Final = 0x2000  # bits of the statusword in homing mode
 _CONTROLWORD: Final = key(0x6040)
 _OFFSET: Final = key(0x607C)
 _METHOD: Final = key(0x6098)
@@ -173,8 +171,7 @@ class Homing:
         return min(counts, 0.5 * self._values[_WINDOW])
 
 
-PP, CSP, CSV, CST = 1, 8, 9, 10
-"""Modes of operation."""
+PP, CSP, CSV, CST = 1, 8, 9, 10  # modes of operation
 _MODE: Final = key(0x6060)
 
 _TARGET_TORQUE: Final = key(0x6071)
@@ -194,11 +191,7 @@ _BIT_12: Final = 0x1000
 
 
 class Mover:
-    """Commands the machine according to the mode and the targets in the dictionary.
-
-    Attributes:
-        homing: Homing of the drive, and the zero that the last homing has set.
-    """
+    """Commands the machine according to the mode and the targets in the dictionary."""
 
     def __init__(
         self,
@@ -220,7 +213,7 @@ class Mover:
         self.speed_unit, self.acceleration_unit = speed_unit, acceleration_unit
         self._current_A = current_A
         self.gear = self._machine.constants.motor.gear_ratio
-        self.homing = Homing(self)
+        self.homing = Homing(self)  # homing of the drive, and the zero that the last homing has set
         self._profile = Timer(clock, self._advance_profile)
         self._speed = 0.0
         self._goal = 0.0
@@ -340,7 +333,6 @@ class Mover:
         self._profile.start(self.clock.now_ns() + _PROFILE_NS)
 
 
-DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
 CONNECTION_LOST: Final = 0x8100
 
@@ -363,8 +355,7 @@ _DC_LINK: Final = key(0x6079)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
-_NO_LIMIT: Final = 0xFFFFFFFF
-"""Value of 607Fh in a drive whose speed is not limited."""
+_NO_LIMIT: Final = 0xFFFFFFFF  # value of 607Fh in a drive whose speed is not limited
 _VOLTAGE_ENABLED: Final = 0x0010
 _REMOTE: Final = 0x0200
 _TARGET_REACHED: Final = 0x0400
@@ -374,23 +365,17 @@ _RAMP_SETTLE_NS: Final = 20_000_000
 _MS: Final = 1_000_000
 _LONGEST_PERIOD: Final = 20
 """Greatest time between targets for a drive that measures this time to interpolate, ms."""
-_WHOLE: Final = 1e-6
-"""Tolerance, in units, for a value that should be a whole number of units."""
+_WHOLE: Final = 1e-6  # tolerance, in units, for a value that should be a whole number of units
 _AT_LIMIT: Final = 0.98
 """Ratio of mean current to limit from which the current counts as limited; it has noise."""
 
 
 @dataclass(frozen=True)
 class Rating:
-    """Rated values of the drive; its units of current and torque are thousandths of the rated
-    values.
+    """Rated values of the drive; it reports current and torque in thousandths of these values."""
 
-    Attributes:
-        current_A: Rated motor current (6075h).
-        torque_N_m: Rated motor torque (6076h), or None for the torque at the rated current.
-    """
-
-    current_A: float = 15.0
+    current_A: float = 15.0  # rated motor current (6075h)
+    # Rated motor torque (6076h), or None for the torque at the rated current.
     torque_N_m: float | None = None
 
 
@@ -412,15 +397,6 @@ class SimulatedDrive(SimulatedNode):
     mille of 6075h. 60B2h (per mille of 6076h) adds torque to the position loop's output while
     targets are followed, but not in ramps. The power stage is on only in the states of
     :data:`POWERED`.
-
-    Attributes:
-        traits: Differences of this drive from other drives.
-        power_state: State of the power drive system.
-        entered: Function that is called with each new state at the time of the change.
-        speed_unit: Counts per second of one unit of 606Ch and 607Fh; see :meth:`use_speed_unit`.
-        deaf_to: Orders that the drive ignores.
-        homing: Homing of the drive, and the zero that the last homing has set.
-        current_sign: Sign of 6077h and 6078h for a torque that increases the position.
     """
 
     def __init__(
@@ -434,20 +410,22 @@ class SimulatedDrive(SimulatedNode):
         traits: Traits | None = None,
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
-        self.traits = traits or Traits()
+        self.traits = traits or Traits()  # differences of this drive from other drives
         self._own = OwnObjects(self.traits)
         self._own.add_to(self.objects)
         self.remote_frames = self.traits.remote_frames
-        self.power_state = State.SWITCH_ON_DISABLED
+        self.power_state = State.SWITCH_ON_DISABLED  # state of the power drive system
+        # Function that is called with each new state at the time of the change.
         self.entered: list[Callable[[State], None]] = []
-        self.current_sign = 1
-        self.deaf_to: frozenset[Command] = frozenset()
+        self.current_sign = 1  # sign of 6077h and 6078h for a torque that increases the position
+        self.deaf_to: frozenset[Command] = frozenset()  # orders that the drive ignores
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
         self._increments, self._revolutions = encoder_resolution(self._machine.constants)
         counts_per_turn = self._increments / self._revolutions
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
+        # Counts per second of one unit of 606Ch and 607Fh; see `use_speed_unit`.
         self.speed_unit = self.traits.speed_unit(counts_per_turn)
         rating = rating or Rating()
         torque_constant = self._motor.torque_constant_N_m_A
@@ -467,6 +445,7 @@ class SimulatedDrive(SimulatedNode):
             self.traits.acceleration_unit(counts_per_turn),
             1.0 / self._per_mille_torque_A,
         )
+        # Homing of the drive, and the zero that the last homing has set.
         self.homing = self._mover.homing
         self._period_ns = _MS
         # A drive without 60C2h measures the time between targets.
@@ -717,8 +696,7 @@ UNKNOWN_COMMAND: Final = 0x0F00FFBF
 WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _EPOS_SERIAL_TARGET: Final = 0x607A
-_MEANS: Final = (0x6077, 0x6078)
-"""Torque and current, which are means since the last read."""
+_MEANS: Final = (0x6077, 0x6078)  # torque and current, which are means since the last read
 _EPOS_SERIAL_VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4

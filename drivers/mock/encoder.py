@@ -18,8 +18,7 @@ from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus
 
 ENCODER_EDS: Final = Path(__file__).with_name("encoder.eds")
-EXACT_COUNTS: Final = 1 << 22
-"""Counts per turn of an exact sensor."""
+EXACT_COUNTS: Final = 1 << 22  # counts per turn of an exact sensor
 
 _POSITION: Final = key(0x6004)
 _SCALING: Final = 0x04
@@ -27,12 +26,7 @@ _TURNS: Final = 4096
 
 
 class SimulatedEncoder(SimulatedNode):
-    """A simulated multi-turn encoder: 6004h = scaled joint counts modulo 6002h.
-
-    Attributes:
-        distort: Function that changes the joint counts as a faulty sensor does, or None for a
-            sensor without fault.
-    """
+    """A simulated multi-turn encoder: 6004h = scaled joint counts modulo 6002h."""
 
     def __init__(
         self,
@@ -45,6 +39,8 @@ class SimulatedEncoder(SimulatedNode):
         super().__init__(bus, clock, node_id, ENCODER_EDS, clock_offset_us)
         self._sampler = sampler
         self._resolution = sampler.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
+        # Function that changes the joint counts as a faulty sensor does, or None for a sensor
+        # without fault.
         self.distort: Callable[[int], int] | None = None
         for index in (0x6000, 0x6001, 0x6002):
             self.objects.written[index] = lambda _sub, _value: self._configure()
@@ -86,18 +82,15 @@ class SimulatedEncoder(SimulatedNode):
 
 
 class SimulatedAmt21:
-    """A simulated encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
-
-    Attributes:
-        distort: Function that changes the counts as a faulty sensor does, or None for a sensor
-            without fault.
-    """
+    """A simulated encoder; a :class:`~drivers.mock.wires.serial_line.Station`."""
 
     counts_per_turn: Final = COUNTS_PER_TURN
 
     def __init__(
         self, clock: SimulatedClock, sampler: Sampler, address: int = DEFAULT_ADDRESS
     ) -> None:
+        # Function that changes the counts as a faulty sensor does, or None for a sensor without
+        # fault.
         self.distort: Callable[[int], int] | None = None
         self._clock = clock
         self._sampler = sampler
@@ -115,8 +108,7 @@ class SimulatedAmt21:
 
 
 TRANSMITTER_EDS: Final = Path(__file__).with_name("transmitter.eds")
-PRESSURE_UNIT_PA: Final = 100.0
-"""Unit of 9130h: bar (6131h) with three decimal digits (6132h)."""
+PRESSURE_UNIT_PA: Final = 100.0  # unit of 9130h: bar (6131h) with three decimal digits (6132h)
 
 _VALUE: Final = key(0x9130, 1)
 _STATUS: Final = key(0x6150, 1)

@@ -21,8 +21,7 @@ from drivers.mock.power_state import Command
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.serial_line import SimulatedLine
 
-FOR_GOOD: Final = 0
-"""Value of ``count`` for a permanent fault."""
+FOR_GOOD: Final = 0  # value of `count` for a permanent fault
 
 GENERAL_ERROR: Final = 0x08000000
 _SDO_REQUEST: Final = 0x600
@@ -326,20 +325,15 @@ _LIMITS: Final = frozenset({0x607D, 0x607F, 0x6072, 0x6073, 0x6065})
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake.
+    """One mistake."""
 
-    Attributes:
-        words: Description of the mistake.
-        spoil: Function that injects the mistake into the devices of a bench, of which the used
-            joint encoder is an argument.
-        change: Function that injects the mistake into the machine.
-        signs: Parts of the drive that have the wrong sign.
-    """
-
-    words: str
+    words: str  # description of the mistake
+    # Function that injects the mistake into the devices of a bench, of which the used joint encoder
+    # is an argument.
     spoil: Callable[[SimulatedBench, Sensor], None] | None = None
+    # Function that injects the mistake into the machine.
     change: Callable[[Machine], Machine] | None = None
-    signs: tuple[Loop, ...] = ()
+    signs: tuple[Loop, ...] = ()  # parts of the drive that have the wrong sign
 
     @property
     def any_drive(self) -> bool:

@@ -34,8 +34,7 @@ class Command(Enum):
 POWERED: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
 """States in which the power stage is on."""
 
-FAULT_RESET: Final = 0x80
-"""Bit 7 of the controlword; its rising edge resets a fault."""
+FAULT_RESET: Final = 0x80  # bit 7 of the controlword; its rising edge resets a fault
 
 _S, _C = State, Command
 

@@ -13,15 +13,12 @@ class Sampler:
 
     The machine advances in whole loop periods; the sampled values therefore belong to the time
     :attr:`time_ns`, which is at most one loop period before the requested time.
-
-    Attributes:
-        machine: The machine; :meth:`advance` must be called before a command to the machine.
-        time_ns: Simulated time up to which the machine is integrated.
     """
 
     def __init__(self, machine: DrivenMachine, now_ns: int = 0) -> None:
+        # The machine; `advance` must be called before a command to the machine.
         self.machine = machine
-        self.time_ns = now_ns
+        self.time_ns = now_ns  # simulated time up to which the machine is integrated
         self._loop_ns = machine.loop_ns
         self._last: Reading | None = None
         self._last_ns = now_ns

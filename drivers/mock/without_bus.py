@@ -17,8 +17,7 @@ from drivers.mock.encoder import PRESSURE_UNIT_PA, transmitted
 from drivers.mock.plant.machine import DrivenMachine
 from drivers.mock.sampler import encoder_resolution
 
-SLOW_EVERY = 10
-"""Period, in cycles, of the frames with supply voltage and temperature."""
+SLOW_EVERY = 10  # period, in cycles, of the frames with supply voltage and temperature
 
 Channel = NDArray[np.float64]
 

@@ -247,12 +247,8 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
     )
 
 
-def one_of_each(
-    trials: Sequence[tuple[Candidate, Joint]],
-) -> tuple[list[Candidate], list[Joint]]:
-    """Return the candidates and fits without those that are not the best of their effect, in the
-    given order.
-    """
+def one_of_each(trials: Sequence[tuple[Candidate, Joint]]) -> tuple[list[Candidate], list[Joint]]:
+    """Return the best candidate and fit of each effect, in the given order."""
     best: dict[str, tuple[Candidate, Joint]] = {}
     for candidate, joint in trials:
         if candidate.name not in best or joint.cost < best[candidate.name][1].cost:

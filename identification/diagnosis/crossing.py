@@ -34,26 +34,17 @@ INNER = 0.6
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 INERTIA, RISE = 0, 2
-"""Indices of the regressors of the rotor's inertia and of the torque that rises during a
-crossing.
-"""
+"""Indices of the regressors of the rotor's inertia and of the torque that rises in a crossing."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Torque estimated from the crossings of a gap or a hysteresis loop.
+    """Torque estimated from the crossings of a gap or a hysteresis loop."""
 
-    Attributes:
-        inertia: Inertia of the rotor at the joint, kg m^2.
-        torque: Torque that closes the loop, N m; about zero for a gap.
-        share: Ratio of this torque to the torque of the motion.
-        error: Standard error of the ratio, from the scatter over crossings and `gap_scatter`.
-    """
-
-    inertia: float
-    torque: float
-    share: float
-    error: float
+    inertia: float  # inertia of the rotor at the joint, kg m^2
+    torque: float  # torque that closes the loop, N m; about zero for a gap
+    share: float  # ratio of this torque to the torque of the motion
+    error: float  # standard error of the ratio, from the scatter over crossings and `gap_scatter`
 
 
 def crossing_torque(
@@ -117,11 +108,7 @@ def _quick_acceleration(view: View) -> Array:
 
 
 def gap_or_loop(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    terms: Sequence[Effect],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], terms: Sequence[Effect], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """If backlash or coupling hysteresis was identified, select one of the two by the torque that
     is transmitted during crossings; return the fit and the selection rounds.

@@ -30,13 +30,7 @@ from identification.diagnosis.judgement import (
 )
 from identification.diagnosis.observable import Observable, collinear_effects, observable
 from identification.diagnosis.reasons import Kind, Reason, explains_nearly_all, floors_left
-from identification.diagnosis.result import (
-    Diagnosis,
-    Fit,
-    IdentifiedEffect,
-    ResidualTrace,
-    Verdict,
-)
+from identification.diagnosis.result import Diagnosis, Fit, IdentifiedEffect, ResidualTrace, Verdict
 from identification.diagnosis.rows import AT_INSTANTS
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.scored import (

@@ -49,8 +49,7 @@ from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.views.nominal import Nominal
 from identification.views.view import View, forget
 
-PRESSURE = "pressure"
-"""Name of the equation."""
+PRESSURE = "pressure"  # name of the equation
 
 
 @dataclass(frozen=True)
@@ -92,28 +91,19 @@ CONSTANTS: Mapping[str, Constant] = {
     "delay": Constant("s", 1e-3),  # delay of the pressure relative to the angle
 }
 """Constants by name, in the order in which they are fitted."""
-PROPELLANT = ("a", "n", "C_r")
-"""Constants that neither a drawing nor a calibration states."""
+PROPELLANT = ("a", "n", "C_r")  # constants that neither a drawing nor a calibration states
 VOLUME = Constant("m^3", 0.3, relative=True)
 """Free volume of the chamber at the first row of each recording, without igniter and grain."""
 START_PRESSURE = Constant("Pa", 0.01, relative=True)
-"""Pressure at the first row of each recording; the tolerance is a scale for the fit, not a
-prior.
-"""
-ROW_S = 0.005
-"""Duration over which samples are averaged to one row, s; the time constant of the chamber's
-outflow is ten times as long.
-"""
+"""Pressure at the first row of each recording; the tolerance scales the fit and is no prior."""
+ROW_S = 0.005  # averaging time of a row, s; a tenth of the time constant of the chamber's outflow
 LEAST_ROWS = 50
 FIRST_ROWS = 4
 TURN, SIZE = math.radians(0.05), 2.5e-5
-"""Steps of numerical derivatives, rad and m, which are about the tolerances of encoder and
-valve.
-"""
+"""Steps of numerical derivatives, rad and m: about the tolerances of encoder and valve."""
 PIECES = 4
 """Number of intervals of time of each recording for which a generic family has a constant each."""
-STEP = 0.01
-"""Step of numerical derivatives, in the units of the fit."""
+STEP = 0.01  # step of numerical derivatives, in the units of the fit
 STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
 """Stages of the fit: factor on the weight of the priors of valve and sensors, relative decrease of
 the cost below which a stage ends, and greatest number of steps. The constants of valve and sensors
@@ -124,12 +114,10 @@ FARTHEST, FIRM_FARTHEST = 6.0, 15.0
 """Limits of the constants of the propellant, and of valve and sensors, in tolerances. Without
 limits, the filling of a chamber ten times as large would explain any slow mismatch.
 """
-BEYOND = 1e6
-"""Residual, relative to the noise, that is returned beyond the limits."""
+BEYOND = 1e6  # residual, relative to the noise, that is returned beyond the limits
 VALIDATION_RATIO = 1.5
 """Ratio of the rms error on validation recordings to the noise, from which a warning is given."""
-DEVIATION_LIMIT = 3.0
-"""Deviation of a constant, in tolerances, from which it is reported."""
+DEVIATION_LIMIT = 3.0  # deviation of a constant, in tolerances, from which it is reported
 
 
 class _NoFilter:
@@ -142,24 +130,17 @@ class _NoFilter:
 class Burn:
     """One recording of a burning gas generator as rows; throat and pressure are means over the same
     samples. For the search a burn is a view.
-
-    Attributes:
-        time: Time since the first sample of the recording, s, shape (n,).
-        areas: A_t and its derivatives with respect to the thickness of a deposit, shape (3, n).
-        shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
-        angle: rad, shape (n,).
-        pressure: Pa, shape (n,).
-        simulated: Pressure, Pa, web burnt, m, and rate of pressure, Pa/s, by the last fit of the
-            nominal model, shape (3, n).
     """
 
     recording: Recording
     index: int
-    time: Array
-    areas: Array
-    shifts: Array
-    angle: Array
-    pressure: Array
+    time: Array  # time since the first sample of the recording, s, shape (n,)
+    areas: Array  # A_t and its derivatives with respect to the thickness of a deposit, shape (3, n)
+    shifts: Array  # derivatives of A_t by angle, d, D and b, shape (4, n)
+    angle: Array  # rad, shape (n,)
+    pressure: Array  # Pa, shape (n,)
+    # Pressure, Pa, web burnt, m, and rate of pressure, Pa/s, by the last fit of the nominal model,
+    # shape (3, n).
     simulated: Array = field(default_factory=lambda: np.zeros((3, 0)))
     low_pass: ClassVar[type[_NoFilter]] = _NoFilter
 
@@ -229,9 +210,7 @@ def _burn(recording: Recording, index: int) -> Burn:
 
 
 def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
-    """Return the derivatives of A_t with respect to angle (m^2/rad), d, D and b (m), by central
-    differences, shape (4, n).
-    """
+    """Return dA_t/d(angle) (m^2/rad), d, D and b (m), by central differences, shape (4, n)."""
     by_angle = throat_area(angle + TURN, valve) - throat_area(angle - TURN, valve)
     by_size = [
         throat_area(angle, replace(valve, **{name: value + SIZE}))
@@ -274,13 +253,10 @@ class Acting(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class GasNominal(Nominal):
-    """Constants of propellant, valve and sensors, with the state at the start of each recording.
-
-    Attributes:
-        acting: Fitted effects, on which the response to a further effect depends.
-    """
+    """Constants of propellant, valve and sensors, with the state at the start of each recording."""
 
     starts: tuple[Start, ...] = ()
+    # Fitted effects, on which the response to a further effect depends.
     acting: tuple[Acting, ...] = ()
 
     @classmethod
@@ -339,12 +315,9 @@ def _stated(g: GasGenerator) -> dict[str, float]:
 class PressureEquation(Equation):
     """Pressure of all recordings, followed by one row for each prior: the deviation of the constant
     from its nominal value; therefore constants can replace an effect only within their tolerances.
-
-    Attributes:
-        firm: Rows of the constants of valve and sensors.
     """
 
-    firm: tuple[int, ...] = ()
+    firm: tuple[int, ...] = ()  # rows of the constants of valve and sensors
     white: ClassVar[bool] = True
 
     def rows(self, per_view: Any) -> Array:
@@ -458,13 +431,10 @@ def _term(effect: Added) -> GasGeneratorEffect:
 
 @dataclass(frozen=True, eq=False)
 class GasFit(Joint):
-    """Constants, effects and the state at the start of each recording, fitted by simulation.
+    """Constants, effects and the state at the start of each recording, fitted by simulation."""
 
-    Attributes:
-        derivatives: Whitened derivatives with respect to constants and effects, with the states at
-            the start of the recordings projected out, shape (n, k).
-    """
-
+    # Whitened derivatives with respect to constants and effects, with the states at the start of
+    # the recordings projected out, shape (n, k).
     derivatives: Array = field(default_factory=lambda: np.zeros((0, 0)))
     limited: ClassVar[bool] = True
 
@@ -486,9 +456,7 @@ class GasFit(Joint):
         return (replace(equation, residual=measured + priors),)
 
     def unseen(self, aside: Sequence[View]) -> Stack:
-        """Return the stack of recordings set aside, of which only the state at the start is
-        fitted.
-        """
+        """Return the stack of recordings set aside; only their state at the start is fitted."""
         here, nominal = cast(Any, aside), cast(GasNominal, self.nominal)
         start = replace(nominal, starts=GasNominal.believed(here).starts)
         found = fit(here, self.equations[0].sigma, start, self.effects, shared=False)
@@ -538,12 +506,7 @@ def fit(
             return np.concatenate((layout.tangent(burns, x) / sigma, np.diag(held)))
 
         x = minimise(
-            residuals,
-            jacobian,
-            x,
-            threshold=math.inf,
-            tolerance=tolerance,
-            most_steps=most_steps,
+            residuals, jacobian, x, threshold=math.inf, tolerance=tolerance, most_steps=most_steps
         ).x
     nominal, placed = layout.model(x), layout.added(x) if shared else tuple(effects)
     simulated = [nominal.simulated(b) for b in burns]

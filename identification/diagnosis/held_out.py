@@ -3,13 +3,16 @@
 If recordings are set aside, the error is that of their prediction. Otherwise each part of the
 recordings is predicted from a fit to all other parts, with nonlinear parameters and Stribeck speeds
 fixed (cross-validation: Stone, Journal of the Royal Statistical Society B 36 (1974) 111).
+
+The oracle of a proof is the error of a model with the true effects: their names are given, all
+parameters are estimated from the fitted recordings alone, as in a diagnosis.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +26,7 @@ from identification.diagnosis.comparison import (
     preference,
 )
 from identification.diagnosis.crossing import distinguished_by_crossings
-from identification.diagnosis.joint import Joint, nominal_after_effects, undetermined_size
+from identification.diagnosis.joint import Joint, fit, nominal_after_effects, undetermined_size
 from identification.diagnosis.linear import Added, effect_derivatives
 from identification.diagnosis.removal import (
     LEAST_FURTHER,
@@ -41,9 +44,11 @@ from identification.diagnosis.within_limits import (
     parameter_derivatives,
     within_limits,
 )
+from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Context, Effect, title
-from identification.recording import Array
-from identification.views.view import View
+from identification.prepare import torque_unit
+from identification.recording import Array, Dataset
+from identification.views.view import View, views
 
 
 def validation_residual(
@@ -98,9 +103,7 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
 
 
 def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
-    """Return the rms error of each equation on recordings set aside
-    (:func:`validation_residual`).
-    """
+    """Return each equation's rms error on recordings set aside (:func:`validation_residual`)."""
     found = validation_residual(joint, aside) if aside else None
     if found is None:
         return {}
@@ -604,7 +607,68 @@ def _unexplained_share(
             square -= along.T @ along
     along = stack.effect_basis.T @ whole
     square -= along.T @ along
-    score = whole.T @ made
-    fitted = np.linalg.pinv(square, rcond=1e-9, hermitian=True) @ score
+    score, least = whole.T @ made, 1e-9
+    if not np.max(np.diag(square)) > np.finfo(float).smallest_normal / least:
+        return 1.0, (0.0,) * len(score)
+    fitted = np.linalg.pinv(square, rcond=least, hermitian=True) @ score
     share = 1.0 - float(score @ fitted) / max(float(made @ made), 1e-300)
     return share, tuple(fitted.tolist())
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Rms errors on recordings set aside, in the equation in which the true effects help most."""
+
+    equation: str  # name of the equation
+    baseline_rms: float  # error of the nominal model alone, in the unit of the equation
+    oracle_rms: float  # error with the true effects, in the unit of the equation
+    noise_rms: float  # noise of one row, in the unit of the equation
+    # Name of each effect to its remaining strength: the error that the effect would cause after a
+    # new fit of all other parameters without the effect, over the noise of a row, in the equation
+    # in which this ratio is greatest.
+    remaining_strength: Mapping[str, float]
+
+
+def oracle(
+    dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float
+) -> HeldOut | None:
+    """Fit the effects with the given names, and compute the errors on the recordings set aside.
+
+    The result is None if these recordings have no row of any equation, or if an effect is collinear
+    with the nominal model or its fitted coefficient has an unphysical sign.
+    """
+    fitted, held = dataset.part("fit"), dataset.part("validate")
+    if not held:
+        return None
+    gives = any(EFFECTS[name].flexible for name in names)
+    here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
+    baseline = fit(here, torque_unit(fitted[0]), first.nominal)
+    left = {
+        t.name: t for t in (e.on_the_joint() if gives else e for e in MOTION) if t.name in names
+    }
+    joint = baseline
+    while left:
+        trials = trial_candidates(
+            joint.stack, Context(joint.views, joint.nominal), list(left.values())
+        )
+        best = max(trials, key=lambda c: c.score, default=None)
+        if best is None:
+            return None
+        added = Added(left.pop(best.name), best.shape, tuple(float(c) for c in best.coefficients))
+        joint = baseline.again(joint.nominal, (*joint.effects, added))
+    aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
+    before, after = validation_rms(baseline, aside), validation_rms(joint, aside)
+    noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.judges}
+    if not noise:
+        return None
+    where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
+    remaining_strength = {}
+    for effect in joint.effects:
+        rest = tuple(e for e in joint.effects if e is not effect)
+        without = baseline.again(joint.nominal, rest) if rest else baseline
+        beyond = [
+            float(np.mean(without.residual[rows] ** 2 - joint.residual[rows] ** 2))
+            for rows in map(joint.stack.part, noise)
+        ]
+        remaining_strength[effect.term.name] = math.sqrt(max(0.0, *beyond))
+    return HeldOut(where, before[where], after[where], noise[where], remaining_strength)

@@ -22,30 +22,21 @@ from identification.diagnosis.linear import (
 )
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.rows import (
-    Equation,
-    equations,
-    held_voltage,
-    least_noise,
-    own_noise,
-)
+from identification.diagnosis.rows import Equation, equations, held_voltage, least_noise, own_noise
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
-from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
-from identification.result import MOST_FLOORS
+from identification.result import MOST_FLOORS, WIDEST
 from identification.signals import noise, without_tones
 from identification.views.nominal import STATICS, Nominal
 from identification.views.view import View
 
-ROUNDS = 30
-"""Greatest number of Gauss-Newton rounds of one joint fit."""
+ROUNDS = 30  # greatest number of Gauss-Newton rounds of one joint fit
 LARGEST_STEP = 0.3
 """Greatest change of a nonlinear parameter in one round, relative to half its search width."""
-CONVERGED = 1e-4
-"""Relative change of the cost below which the fit ends."""
+CONVERGED = 1e-4  # relative change of the cost below which the fit ends
 CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02
 """Greatest number of closing steps after convergence, and the relative excess of the attained over
 the predicted mean-square torque mismatch from which a closing step is tried.
@@ -54,10 +45,8 @@ CLOSING_SHARES = (1.0, 0.5)
 """Shares of a closing step that are tried: a whole step may worsen the breakaway equation."""
 LEAST_CLOSING_GAIN = 0.1
 """Least share of the excess of the attained torque mismatch that a closing step must remove."""
-DAMPING = 0.3
-"""Factor on the length of the next step after a step that increases the cost."""
-MOST_FAILURES = 2
-"""Greatest number of steps that may increase the cost."""
+DAMPING = 0.3  # factor on the length of the next step after a step that increases the cost
+MOST_FAILURES = 2  # greatest number of steps that may increase the cost
 GRID_REACHES = (1.0, 0.2)
 """Half widths of the first grids of a nonlinear parameter, over the half width of its search."""
 GRID_POINTS = 9
@@ -70,19 +59,14 @@ least share of a step that is tried.
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A model fitted to all equations.
-
-    Attributes:
-        equations: Equations at the nominal values, without the contributions of the effects.
-        residual: Whitened rows less the nominal model and the effects, shape (n,).
-        stack: Stack whose effect basis spans the effects and the derivatives of their nonlinear
-            parameters.
-    """
+    """A model fitted to all equations."""
 
     nominal: Nominal
     effects: tuple[Added, ...]
+    # Equations at the nominal values, without the contributions of the effects.
     equations: tuple[Equation, ...]
-    residual: Array
+    residual: Array  # whitened rows less the nominal model and the effects, shape (n,)
+    # Stack whose effect basis spans the effects and the derivatives of their nonlinear parameters.
     stack: Stack
     limited: ClassVar[bool] = False
     """Whether the fit keeps all parameters within their limits."""
@@ -219,8 +203,7 @@ def _closing_steps(best: Joint, solved: Solution) -> Joint:
         enough = attained - LEAST_CLOSING_GAIN * (attained - predicted)
         steps = [share * solved.linear_step for share in CLOSING_SHARES]
         after = next(
-            (a for step in steps if (a := _fit_after_step(best, step, enough)) is not None),
-            None,
+            (a for step in steps if (a := _fit_after_step(best, step, enough)) is not None), None
         )
         if after is None:
             without = solve(best.stack, best.effects, STATICS).linear_step
@@ -455,6 +438,7 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
         at += len(moves)
         values = effect.parameters(context)
         off = _form_error(joint, stack, effect) if form else 0.0
+        absent = effect.term.absent(np.array(effect.coefficients), effect.shape, context)
         slopes = {
             name: np.array([move[name] - values[name] for move in moves]) / DERIVATIVE_STEP
             for name in values
@@ -462,11 +446,11 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                off * (1.0 if name.split("_")[0] in ANGLES else abs(values[name])),
+                off * (1.0 if name.split("_")[0] in ANGLES else abs(value - absent.get(name, 0.0))),
             )
             if np.any(s != 0.0)
             else 0.0
-            for name, s in slopes.items()
+            for (name, s), value in zip(slopes.items(), values.values(), strict=True)
         }
         out.append(
             {

@@ -38,22 +38,17 @@ of a faint mismatch that is attributed to noise (`excess`) may be due to an unid
 
 
 VISIBLE = 3.0
-"""Rms mismatch, relative to the noise, from which a diagnosis must find it (the limit of the
-proofs).
-"""
+"""Rms mismatch over the noise from which a diagnosis must find it (the limit of the proofs)."""
 
 
 class Judged(NamedTuple):
-    """Verdict of a search.
-
-    Attributes:
-        reason: Reason why the effects of the catalogue do not explain the mismatch, or why the
-            verdict is *nothing missing* in spite of a mismatch; None otherwise.
-    """
+    """Verdict of a search."""
 
     verdict: Verdict
     where: Location | None
     maps: tuple[Map, ...]
+    # Reason why the effects of the catalogue do not explain the mismatch, or why the verdict is
+    # *nothing missing* in spite of a mismatch; None otherwise.
     reason: Reason | None = None
 
 
@@ -246,29 +241,26 @@ def _effect(
         )
         for r in taken.rivals
     )
+    # What distinguishes effects of the catalogue may not do so for a candidate of one's own.
+    candidates = (entry, *(r.effect.term for r in taken.rivals if r.name in open_names))
+    asked = next((e for e in candidates if e.group == "own"), entry)
     return IdentifiedEffect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
         confidence=confidence,
         statement=finding(
-            entry,
-            parameters,
-            where.recordings,
-            drive_channel(found.baseline.views[0].recording),
+            entry, parameters, where.recordings, drive_channel(found.baseline.views[0].recording)
         ),
         assumption_broken=entry.assumption,
         where=where,
         parameters=parameters,
         rivals=rivals,
-        separating_experiment=entry.experiment,
+        separating_experiment=asked.experiment,
     )
 
 
 def _location_of(
-    found: Search,
-    k: int,
-    shown: Sequence[Equation],
-    rng: np.random.Generator,
+    found: Search, k: int, shown: Sequence[Equation], rng: np.random.Generator
 ) -> tuple[Location, bool]:
     """Return the location of effect ``k``, which has regressors in the equations ``shown``, and
     whether it is friction at a place that a function of speed or load explains as well: in some

@@ -20,9 +20,7 @@ from identification.views.nominal import SPEEDS
 SCALE_FACTOR = 4.0
 """Factor that is the half width of the search of a parameter with a logarithmic scale."""
 DERIVATIVE_STEP = 1e-3
-"""Step of numerical derivatives with respect to a nonlinear parameter, relative to the width of its
-search.
-"""
+"""Step of numerical derivatives in a nonlinear parameter, relative to the width of its search."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,7 @@ def size_entries(effect: Added) -> Mapping[int, float]:
 
 
 def moved_parameters(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return nonlinear parameters with one of them changed by a share of the half width of its
-    search.
-    """
+    """Return nonlinear parameters, one of them changed by a share of half its search's width."""
     entry = (
         shape[index] * float(SCALE_FACTOR**share) if reach == 0.0 else shape[index] + reach * share
     )
@@ -56,9 +52,7 @@ def moved_parameters(shape: Shape, index: int, reach: float, share: float) -> Sh
 
 
 def effect_columns(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
-    """Return the whitened columns of free coefficients, and the contribution of known
-    coefficients.
-    """
+    """Return whitened columns of free coefficients, and the contribution of known coefficients."""
     free: list[Array] = []
     known = np.zeros(len(stack.residual))
     for effect in effects:
@@ -71,9 +65,7 @@ def effect_columns(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array
 
 
 def effect_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives of the model with respect to every coefficient and nonlinear
-    parameter, shape (n, g).
-    """
+    """Return whitened derivatives by every coefficient and nonlinear parameter, shape (n, g)."""
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
         here = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -92,25 +84,20 @@ def effect_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of the linear problem at one point.
+    """Solution of the linear problem at one point."""
 
-    Attributes:
-        linear_step: Step of the nominal parameters in which the torque is linear, with fixed
-            Stribeck speeds.
-        speed_step: Step of all nominal parameters, with the Stribeck speeds free to first order;
-            only the steps of the Stribeck speeds are used.
-        shapes: Step of the nonlinear parameters that determine an effect's size, relative to the
-            half widths of their search.
-        residual: Whitened residual with the Stribeck speeds free to first order.
-        cost: Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
-            first-order prediction is not attained by a large step of a Stribeck speed.
-    """
-
+    # Step of the nominal parameters in which the torque is linear, with fixed Stribeck speeds.
     linear_step: Array
+    # Step of all nominal parameters, with the Stribeck speeds free to first order; only the steps
+    # of the Stribeck speeds are used.
     speed_step: Array
+    # Step of the nonlinear parameters that determine an effect's size, relative to the half widths
+    # of their search.
     shapes: Array
     effects: tuple[Added, ...]
-    residual: Array
+    residual: Array  # whitened residual with the Stribeck speeds free to first order
+    # Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
+    # first-order prediction is not attained by a large step of a Stribeck speed.
     cost: float
 
 
@@ -237,9 +224,7 @@ def _nominal_step(stack: Stack, whitened: Array, without: Collection[str]) -> Ar
 def predicted_and_attained(
     stack: Stack, effects: Sequence[Added], residual: Array
 ) -> tuple[float, float]:
-    """Return the predicted and the attained mean-square torque mismatch, relative to the mean
-    square of the noise.
-    """
+    """Return the predicted and the attained mean-square torque mismatch over that of the noise."""
     equation = next(e for e in stack.equations if e.name == "torque")
     rest = equation.residual.copy()
     for effect in effects:

@@ -26,32 +26,23 @@ from identification.model.parameters import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
-PARTS = 10
-"""Number of parts of the blocks, each of which is predicted from the other parts."""
+PARTS = 10  # number of parts of the blocks, each of which is predicted from the other parts
 MOST_ROWS = 20_000
 """Number of rows of an equation, of which at most this many are used, at equal distances."""
-ALONE = 0.9
-"""Leverage of one part from which a function counts as occurring in this part only."""
+ALONE = 0.9  # leverage of one part from which a function counts as occurring in this part only
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """The mismatch of one equation, with everything else projected out.
+    """The mismatch of one equation, with everything else projected out."""
 
-    Attributes:
-        step: Distance of the rows that are used.
-        other: Orthonormal columns of the nominal tangent and of other effects, shape (n, g).
-        residual: Whitened mismatch without these columns, shape (n,).
-        part: Part of each row, from 0, shape (n,).
-        unexplained: Sum of squares of the parts, each predicted by the columns ``other`` that are
-            fitted to the other parts.
-    """
-
-    step: int
-    other: Array
-    residual: Array
-    part: np.ndarray
+    step: int  # distance of the rows that are used
+    other: Array  # orthonormal columns of the nominal tangent and of other effects, shape (n, g)
+    residual: Array  # whitened mismatch without these columns, shape (n,)
+    part: np.ndarray  # part of each row, from 0, shape (n,)
+    # Sum of squares of the parts, each predicted by the columns `other` that are fitted to the
+    # other parts.
     unexplained: float
 
     def explained(self, resolutions: Iterable[Array], factor: Array) -> float:
@@ -82,9 +73,7 @@ class Mismatch:
 
 
 def mismatch_of(stack: Stack, equation: str) -> Mismatch:
-    """Return the mismatch of one equation of a stack, without its nominal tangent and its effect
-    basis.
-    """
+    """Return the mismatch of an equation without its nominal tangent and its effect basis."""
     rows = stack.part(equation)
     number = next(k for k, e in enumerate(stack.equations) if e.name == equation)
     step = max(1, -(-(rows.stop - rows.start) // MOST_ROWS))

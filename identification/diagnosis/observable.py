@@ -23,45 +23,31 @@ from identification.recording import Array
 
 @dataclass(frozen=True)
 class Observable:
-    """Observability of one effect.
+    """Observability of one effect."""
 
-    Attributes:
-        name: Name in the catalogue.
-        left: Share of the regressor's squares that the nominal parameters cannot explain, median
-            over trial parameters; zero if no recording can show the effect.
-        sizes: Name of each parameter to its value at the least size that the recordings can show.
-            Of the trial parameters, those with the median least size are used; if the trial
-            parameters determine the size, those with the smallest observable size. Empty if the
-            effect is not observable.
-        alike: Name of each effect that explains at least the share `alike` of this effect's
-            regressor to the share that it explains, greatest first.
-    """
-
-    name: str
+    name: str  # name in the catalogue
+    # Share of the regressor's squares that the nominal parameters cannot explain, median over trial
+    # parameters; zero if no recording can show the effect.
     left: float
+    # Name of each parameter to its value at the least size that the recordings can show. Of the
+    # trial parameters, those with the median least size are used; if the trial parameters determine
+    # the size, those with the smallest observable size. Empty if the effect is not observable.
     sizes: Mapping[str, float]
+    # Name of each effect that explains at least the share `alike` of this effect's regressor to the
+    # share that it explains, greatest first.
     alike: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """An effect at trial parameters.
+    """An effect at trial parameters."""
 
-    Attributes:
-        term: Effect of the effect.
-        shape: Trial values of its nonlinear parameters.
-        span: Orthonormal regressors with the tangent projected out, shape (n, k).
-        left: Share of the squares of the regressors that remains after the projection.
-        gain: Sum of whitened squares if the first coefficient is one.
-        rows: Number of rows of the effect's equations.
-    """
-
-    term: Effect
-    shape: Shape
-    span: Array
-    left: float
-    gain: float
-    rows: int
+    term: Effect  # effect of the effect
+    shape: Shape  # trial values of its nonlinear parameters
+    span: Array  # orthonormal regressors with the tangent projected out, shape (n, k)
+    left: float  # share of the squares of the regressors that remains after the projection
+    gain: float  # sum of whitened squares if the first coefficient is one
+    rows: int  # number of rows of the effect's equations
 
 
 def observable(joint: Joint, terms: Sequence[Effect]) -> tuple[Observable, ...]:

@@ -1,6 +1,4 @@
-"""Reasons why effects do not explain a mismatch, or why the verdict is *nothing missing* in spite
-of a mismatch.
-"""
+"""Reasons why effects do not explain a mismatch, or why *nothing missing* stands beside one."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ from identification.recording import Array
 # the last reversal.
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
-"""Coordinates on which a hysteretic mismatch depends; in the motion of a single sine the two are
-equivalent.
-"""
+"""Coordinates of a hysteretic mismatch; in the motion of a single sine the two are equivalent."""
 
 
 def is_hysteretic(joint: Joint) -> bool:
@@ -73,9 +69,7 @@ class Excess:
 
 
 def excess_of(found: Search) -> list[Excess]:
-    """Return the mean-square mismatch of each equation by the nominal and by the corrected
-    model.
-    """
+    """Return each equation's mean-square mismatch by the nominal and by the corrected model."""
     stack = found.baseline.stack
     out = []
     for equation in found.baseline.equations:
@@ -232,20 +226,15 @@ class Kind(Enum):
 class Reason:
     """Reason why the effects of a search do not explain the mismatch, or why the verdict is
     *nothing missing* in spite of a mismatch.
-
-    Attributes:
-        kind: Kind of the reason.
-        search: The search whose effects the reason concerns.
-        effects: Names of the effects; empty if no effect was accepted.
-        needed: Share of the mismatch beyond the noise that the effects must explain.
-        left: Greatest ratio of the error with the effects to the noise floor, of fitted and of
-            unused recordings.
     """
 
-    kind: Kind
-    search: Search
-    effects: tuple[str, ...] = ()
+    kind: Kind  # kind of the reason
+    search: Search  # the search whose effects the reason concerns
+    effects: tuple[str, ...] = ()  # names of the effects; empty if no effect was accepted
+    # Share of the mismatch beyond the noise that the effects must explain.
     needed: float = RULES.adequate
+    # Greatest ratio of the error with the effects to the noise floor, of fitted and of unused
+    # recordings.
     left: float = 0.0
 
 
@@ -289,10 +278,7 @@ def floors_left(fit: Fit) -> float:
     times the noise.
     """
     floor = fit.noise_floor_rms
-    pairs = (
-        (fit.baseline_rms, fit.final_rms),
-        (fit.validate_baseline_rms, fit.validate_final_rms),
-    )
+    pairs = ((fit.baseline_rms, fit.final_rms), (fit.validate_baseline_rms, fit.validate_final_rms))
     ratios = [
         after / floor
         for before, after in pairs

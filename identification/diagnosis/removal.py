@@ -139,11 +139,7 @@ def needed_share(others: float, error: float = ROUGH) -> float:
 
 
 def with_best_rivals(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    dropped: Sequence[Added],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], dropped: Sequence[Added], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """Compare every effect with its rivals again, with all other effects in the model, until no
     rival takes the place of an effect; return the fit and the selection rounds.
@@ -160,11 +156,7 @@ def with_best_rivals(
 
 
 def _contested_once(
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    dropped: Sequence[Added],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], dropped: Sequence[Added], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """Compare every effect with its rivals once."""
     for place, taken in enumerate(rounds):
@@ -207,9 +199,7 @@ def share_equation(one: Effect, other: Effect) -> bool:
 
 
 def left_beyond_noise(joint: Joint, term: Effect) -> float:
-    """Return the sum of whitened squares beyond the noise that remains in the equations by which an
-    effect is judged.
-    """
+    """Return the whitened squares beyond the noise that remain in the equations of an effect."""
     return _beyond_noise(joint, _judging_rows(joint, term))
 
 

@@ -11,6 +11,7 @@ from identification.effects.model import CorrectedModel, Curve
 from identification.numerics.arrays import plain
 from identification.numerics.spread import NO_SPREAD, Spread
 from identification.recording import Array
+from identification.result import LEAST_EXPLAINED, MOST_FLOORS, Misfit
 
 
 class Verdict(Enum):
@@ -121,9 +122,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shift:
-    """Value of a nominal parameter in the nominal model and in the corrected model; None if the
-    value is not identifiable.
-    """
+    """Value of a nominal parameter in both models; None if the value is not identifiable."""
 
     before: float | None
     after: float | None
@@ -247,10 +246,20 @@ class Diagnosis:
     model: CorrectedModel | None = None
 
     @property
-    def values(self) -> dict[str, float]:
-        """Name to value of the identifiable nominal parameters, and of those of the effects as
-        ``effect.name``.
+    def misfit(self) -> tuple[Misfit, ...]:
+        """Ways in which the corrected model does not describe the recordings, the gravest first, in
+        the equation of ``fit``.
         """
+        fit = self.fit
+        signs = {
+            Misfit.EXPLAINS_LITTLE: (fit.relative or 0.0) ** 2 > 1.0 - LEAST_EXPLAINED,
+            Misfit.ABOVE_FLOOR: 0.0 < MOST_FLOORS * fit.noise_floor_rms < fit.final_rms,
+        }
+        return tuple(code for code, holds in signs.items() if holds)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Name to value of the identifiable nominal parameters, and of the ``effect.name`` ones."""
         known = {n: v for n, v in self.parameters.items() if n in self.parameter_shift}
         nominal = {n: v for n, v in known.items() if self.parameter_shift[n].after is not None}
         return {
@@ -284,4 +293,4 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as values for JSON, with the keys of ``rig diagnose --json``."""
-        return dict(plain(self, *NOT_WRITTEN))
+        return {**plain(self, *NOT_WRITTEN), "misfit": [str(code) for code in self.misfit]}

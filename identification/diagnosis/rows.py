@@ -51,17 +51,12 @@ def _instant(channels: Sequence[Array | None]) -> float:
     return float(np.sqrt(np.mean(every**2) / 12.0))
 
 
-LEAST_BREAKAWAYS = 12
-"""Least number of breakaways, over all recordings, for a breakaway equation."""
-SAME_STEP = 0.01
-"""Relative difference up to which two steps of an encoder are equal."""
+LEAST_BREAKAWAYS = 12  # least number of breakaways, over all recordings, for a breakaway equation
+SAME_STEP = 0.01  # relative difference up to which two steps of an encoder are equal
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
-"""Greatest ratio of an error to a noise, whose square is a finite number; recordings at rest have
-no noise.
-"""
-ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
-"""Error of the most accurate encoders for one turn, rad."""
+"""Greatest ratio of error to noise with a finite square; recordings at rest have no noise."""
+ARC_SECOND_RAD = math.radians(1.0 / 3600.0)  # error of the most accurate encoders for one turn, rad
 AT_INSTANTS = frozenset({"breakaway"})
 """Equations that hold at instants alone, with one row per instant; the other equations hold
 throughout, and their rows are outputs of the filter. An equation at instants judges no model: it
@@ -72,36 +67,26 @@ EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 @dataclass(frozen=True)
 class Equation:
-    """One equation over all recordings.
+    """One equation over all recordings."""
 
-    Attributes:
-        name: One of :data:`EQUATIONS`.
-        unit: Unit of the mismatch.
-        kept: For each view, mask of the filter outputs (or breakaways) that are rows.
-        residual: Measured less nominal, shape (n,).
-        tangent: Derivatives with respect to the parameters of the equation, shape (n, k).
-        names: Names of the tangent's columns; those of the torque equation are nominal parameters.
-        owner: Index of each row's recording, shape (n,).
-        time: Time stamp of each row, s, shape (n,).
-        sigma: Noise of one row.
-        own: Index of a recording to the mean square of the recording's own noise over the square of
-            ``sigma``, at least 1. The noise of a recording may depend on its motion, for example if
-            a controller amplifies the rounding of an encoder.
-        accuracy: Error that even the best sensors may cause, in ``unit``; it repeats with the
-            motion, so that the noise does not contain it.
-    """
-
-    name: str
-    unit: str
+    name: str  # one of `EQUATIONS`
+    unit: str  # unit of the mismatch
     views: tuple[View, ...]
+    # For each view, mask of the filter outputs (or breakaways) that are rows.
     kept: tuple[BoolArray, ...]
-    residual: Array
-    tangent: Array
+    residual: Array  # measured less nominal, shape (n,)
+    tangent: Array  # derivatives with respect to the parameters of the equation, shape (n, k)
+    # Names of the tangent's columns; those of the torque equation are nominal parameters.
     names: tuple[str, ...]
-    owner: np.ndarray
-    time: Array
-    sigma: float
+    owner: np.ndarray  # index of each row's recording, shape (n,)
+    time: Array  # time stamp of each row, s, shape (n,)
+    sigma: float  # noise of one row
+    # Index of a recording to the mean square of the recording's own noise over the square of
+    # `sigma`, at least 1. The noise of a recording may depend on its motion, for example if a
+    # controller amplifies the rounding of an encoder.
     own: Mapping[int, float] = field(default_factory=dict)
+    # Error that even the best sensors may cause, in `unit`; it repeats with the motion, so that the
+    # noise does not contain it.
     accuracy: float = 0.0
     white: ClassVar[bool] = False
     """Whether the noise of the rows is white and known well, as that of a transducer."""
@@ -124,9 +109,7 @@ class Equation:
         return self.name not in AT_INSTANTS
 
     def allowed(self) -> Array:
-        """Return the mean square of noise and sensor error of each row over the square of
-        ``sigma``, shape (n,).
-        """
+        """Return each row's mean square of noise and sensor error over ``sigma`` ^2, shape (n,)."""
         sensors = min(self.accuracy / self.sigma, GREATEST_RATIO) ** 2
         noises = np.array([self.own.get(index, 1.0) for index in self.owner.tolist()])
         return noises + sensors
@@ -462,14 +445,11 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
 
 
 BINS = 8
-LEAST_ROWS = 5
-"""Least number of rows in which a function of a coordinate must be nonzero."""
+LEAST_ROWS = 5  # least number of rows in which a function of a coordinate must be nonzero
 COARSE = (2, 4, 8)
 """Numbers of intervals between quantiles of the coarse piecewise-linear functions."""
-DIGITS = 9
-"""Decimal digits of a coordinate, relative to its greatest value."""
-HARMONICS = 48
-"""Greatest number of periods per turn by which a periodic mismatch is located."""
+DIGITS = 9  # decimal digits of a coordinate, relative to its greatest value
+HARMONICS = 48  # greatest number of periods per turn by which a periodic mismatch is located
 LEAST_TURNS = 2.0
 """Turns of a recording from which a periodic coordinate differs from the angle itself."""
 _ENDS = 2.0 ** -np.arange(5.0, 9.0)
@@ -481,26 +461,17 @@ together at both ends, since most effects grow towards an end.
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A coordinate on which the mismatch may depend.
+    """A coordinate on which the mismatch may depend."""
 
-    Attributes:
-        name: Name in the report.
-        unit: Displayed unit of its values.
-        values: Function from a view to values at the full rate, shape (m,), or None if the
-            recording lacks them.
-        by_direction: Whether the two directions of motion have separate bins.
-        by_load: Whether the mismatch may be proportional to the load as well.
-        periodic: Whether the coordinate is an angle of which full turns are equal.
-        bins: Number of bins of a generic family.
-    """
-
-    name: str
-    unit: str
+    name: str  # name in the report
+    unit: str  # displayed unit of its values
+    # Function from a view to values at the full rate, shape (m,), or None if the recording lacks
+    # them.
     values: Callable[[View], Array | None]
-    by_direction: bool = True
-    by_load: bool = False
-    periodic: bool = False
-    bins: int = BINS
+    by_direction: bool = True  # whether the two directions of motion have separate bins
+    by_load: bool = False  # whether the mismatch may be proportional to the load as well
+    periodic: bool = False  # whether the coordinate is an angle of which full turns are equal
+    bins: int = BINS  # number of bins of a generic family
 
 
 def _load(view: View) -> Array:
@@ -562,9 +533,7 @@ def weight_of(equation: Equation) -> Array:
 
 
 def at_rows(coordinate: Coordinate, equation: Equation, weight: Array) -> Array:
-    """Return the filtered coordinate at the rows of an equation, shape (n,); zero where a recording
-    lacks its channel.
-    """
+    """Return the filtered coordinate at an equation's rows, shape (n,); 0 without its channel."""
     if coordinate.periodic:
         first = equation.rows(partial(_harmonic, coordinate, 1))
         return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))

@@ -41,31 +41,24 @@ SETTLED_COST = 1.01
 """Greatest ratio of the errors with and without a rise of static friction at which a rise that the
 recordings do not determine is left out.
 """
-BLOCK_S = 2.0
-"""Length of the blocks in which the errors of two models are compared, s."""
+BLOCK_S = 2.0  # length of the blocks in which the errors of two models are compared, s
 FOLDS, BINS, LEAST_IN_BIN = 5, 16, 5
 """Parts of the blocks, of which each is predicted by a curve through the others; number of bins of
 the curve, and least number of samples in a bin.
 """
 STATIC_OF: Mapping[str, str] = {"Mc": "Ms", "mu_c": "mu_s", "mu_gc": "mu_gs"}
-Estimate = Callable[[Dataset], Identification]
-"""The estimator of ``rig identify``."""
+Estimate = Callable[[Dataset], Identification]  # the estimator of `rig identify`
 
 
 class Constants(NamedTuple):
-    """Nominal parameters of one estimator.
+    """Nominal parameters of one estimator."""
 
-    Attributes:
-        values: Name to value, also of parameters that the recordings do not determine.
-        known: Name to value, None for a parameter that the recordings do not determine.
-        warnings: Warnings of the estimator.
-        covariance: Covariance of the default estimator.
-    """
-
+    # Name to value, also of parameters that the recordings do not determine.
     values: Mapping[str, float]
+    # Name to value, None for a parameter that the recordings do not determine.
     known: Mapping[str, float | None]
-    warnings: tuple[str, ...] = ()
-    covariance: Spread = NO_SPREAD
+    warnings: tuple[str, ...] = ()  # warnings of the estimator
+    covariance: Spread = NO_SPREAD  # covariance of the default estimator
 
 
 class Scores(NamedTuple):
@@ -461,9 +454,7 @@ def curve_of(
 
 
 def _binned(place: Array, error: Array) -> tuple[Array, Array] | None:
-    """Return centres and means of bins with about equal numbers of samples, or None if there are
-    fewer than two bins.
-    """
+    """Return centres and means of about equally filled bins, or None for fewer than two bins."""
     edges = np.unique(np.quantile(place, np.linspace(0.0, 1.0, BINS + 1))) if len(place) else place
     if len(edges) < 3:
         return None

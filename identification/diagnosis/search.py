@@ -1,6 +1,4 @@
-"""Selects effects one by one by tests, compares each with its rivals, and removes effects that are
-no longer needed.
-"""
+"""Selects effects by tests, compares each with its rivals, and removes those not needed."""
 
 from __future__ import annotations
 
@@ -43,17 +41,11 @@ from identification.diagnosis.significance import (
     trial_candidates,
 )
 from identification.diagnosis.stack import Candidate
-from identification.diagnosis.within_limits import (
-    feasible_or_first,
-    infeasible,
-    with_assumed_fall,
-)
+from identification.diagnosis.within_limits import feasible_or_first, infeasible, with_assumed_fall
 from identification.effects.effect import Context, Effect, Shape
 
 TRIALS = 3
-"""Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
-each trial parameter.
-"""
+"""Number of trial parameters without a score; a fit searches within a factor of 4 of each."""
 
 
 def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -> list[Candidate]:
@@ -62,10 +54,7 @@ def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -
     for candidate in candidates:
         each.setdefault(candidate.name, []).append(candidate)
     best = [max(c, key=lambda c: _rank(c, terms[c.name])) for c in each.values()]
-    return sorted(
-        (c for c in best if c.score > 0.0 and c.relevant),
-        key=lambda c: -c.score,
-    )
+    return sorted((c for c in best if c.score > 0.0 and c.relevant), key=lambda c: -c.score)
 
 
 def _rank(candidate: Candidate, term: Effect) -> float:
@@ -115,9 +104,7 @@ def finalist_groups(
 
 
 def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """Return the candidates with the greatest scores; effects with one regressor, whose scores are
-    equal, count as one.
-    """
+    """Return the candidates of greatest score; those with one regressor score equal, as one."""
     near = [c for c in ranked if c.score > RULES.rival_share * ranked[0].score]
     scores = sorted({float(f"{c.score:.9g}") for c in near}, reverse=True)[: RULES.finalists]
     return [c for c in near if float(f"{c.score:.9g}") in scores]
@@ -157,42 +144,29 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Search:
-    """Result of the search.
-
-    Attributes:
-        rounds: Selection step of each kept effect.
-        p_value: p-value of the test whether physics is missing.
-        p_after: p-value of the test whether further physics is missing.
-        loudest: Generic family or effect with the least p-value at the end of the search.
-        unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
-            effects explain, or None without such recordings or without such a mismatch.
-    """
+    """Result of the search."""
 
     baseline: Joint
     final: Joint
-    rounds: tuple[Round, ...]
-    p_value: float
-    p_after: float
-    loudest: str
+    rounds: tuple[Round, ...]  # selection step of each kept effect
+    p_value: float  # p-value of the test whether physics is missing
+    p_after: float  # p-value of the test whether further physics is missing
+    loudest: str  # generic family or effect with the least p-value at the end of the search
     steps: tuple[Step, ...]
+    # Share of the mismatch beyond the noise on recordings set aside that the effects explain, or
+    # None without such recordings or without such a mismatch.
     unseen_share: float | None = None
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a search.
+    """Options of a search."""
 
-    Attributes:
-        until_flexible: Whether the search ends when an effect is selected with which the
-            transmission is flexible.
-        fixed: Nominal parameters that are not estimated.
-        thorough: Whether effects without a score are fitted too before the first effect is
-            selected. A score is a linearisation about the nominal fit, which may be far from the
-            right parameters.
-    """
-
+    # Whether the search ends when an effect is selected with which the transmission is flexible.
     until_flexible: bool = False
-    fixed: Collection[str] = ()
+    fixed: Collection[str] = ()  # nominal parameters that are not estimated
+    # Whether effects without a score are fitted too before the first effect is selected. A score is
+    # a linearisation about the nominal fit, which may be far from the right parameters.
     thorough: bool = False
 
 

@@ -146,9 +146,7 @@ def beyond_noise(joint: Joint) -> set[str]:
 
 
 def over_own_noise(joint: Joint, equation: Equation) -> Array:
-    """Return the residual of a fit in an equation, divided by the own noise of the recording of
-    each row, shape (n,).
-    """
+    """Return a fit's residual in an equation over the noise of each row's recording, shape (n,)."""
     rows = joint.residual[joint.stack.part(equation.name)]
     return np.asarray(rows / np.sqrt(equation.allowed()))
 
@@ -161,9 +159,7 @@ def greatest_mean_square(joint: Joint, equation: Equation) -> float:
 
 
 def greatest(rows: Array, equation: Equation) -> float:
-    """Return the mean square of an equation's rows in the recording with the greatest mean
-    square.
-    """
+    """Return the mean square of an equation's rows in the recording where it is greatest."""
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )
@@ -237,8 +233,7 @@ LEAST_SHARE, CROWDED = 0.25, 3.0
 """Share of the remaining mismatch from which a recording is reported, and least ratio of this share
 to the share of the rows.
 """
-MOST_OF_IT = 0.8
-"""Share of the mismatch of a recording that the reported interval of time contains."""
+MOST_OF_IT = 0.8  # share of the mismatch of a recording that the reported interval of time contains
 
 
 def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
@@ -301,9 +296,7 @@ def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
 
 
 def shortest(time: Array, power: Array) -> tuple[float, float]:
-    """Return start and end, s, of the shortest interval with the share :data:`MOST_OF_IT` of the
-    power.
-    """
+    """Return start and end, s, of the shortest interval with :data:`MOST_OF_IT` of the power."""
     total = np.concatenate(([0.0], np.cumsum(power)))
     ends = np.searchsorted(total, total[:-1] + MOST_OF_IT * total[-1])
     starts = np.flatnonzero(ends < len(total))

@@ -26,42 +26,31 @@ from identification.views.view import View, delayed_view
 # An effect at trial parameters, with its score on the remaining mismatch.
 
 FEW_REGRESSORS = 4
-"""Greatest number of regressors for which the statistic is computed from the residual after their
-fit.
-"""
+"""Greatest number of regressors for which the statistic comes from the residual of their fit."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one set of nonlinear parameters, with its score on the residual of a stack.
+    """One effect at one set of nonlinear parameters, with its score on the residual of a stack."""
 
-    Attributes:
-        name: Name of the effect, or of a generic family.
-        coefficients: Least-squares coefficients, in the units of the term, shape (k,).
-        gain: Sum of whitened squares that the effect explains.
-        penalty: Expected sum of whitened squares that the effect explains by chance (Takeuchi);
-            computed from single rows if the effect is active in too few blocks.
-        statistic: Squared score over its variance by blocks after the fit; about chi-square with k
-            degrees of freedom if nothing is missing.
-        blocks: Score by block, shape (b, k).
-        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty for
-            many regressors.
-        share: Power of the effect's contribution over the noise power, in the rows of its
-            equations.
-        least_share: Share up to which the contribution is negligible.
-    """
-
-    name: str
+    name: str  # name of the effect, or of a generic family
     shape: Shape
-    coefficients: Array
-    gain: float
+    coefficients: Array  # least-squares coefficients, in the units of the term, shape (k,)
+    gain: float  # sum of whitened squares that the effect explains
+    # Expected sum of whitened squares that the effect explains by chance (Takeuchi); computed from
+    # single rows if the effect is active in too few blocks.
     penalty: float
+    # Squared score over its variance by blocks after the fit; about chi-square with k degrees of
+    # freedom if nothing is missing.
     statistic: float
-    blocks: Array
+    blocks: Array  # score by block, shape (b, k)
+    # Inner products of the orthonormal regressors by block, shape (b, k, k); empty for many
+    # regressors.
     weights: Array
+    # Power of the effect's contribution over the noise power, in the rows of its equations.
     share: float
-    least_share: float = RULES.least_share
+    least_share: float = RULES.least_share  # share up to which the contribution is negligible
 
     @property
     def relevant(self) -> bool:
@@ -116,35 +105,28 @@ def wald_statistic(score: Array, sums: Array) -> float:
     return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
 
 
-ROUNDING = 1e-9
-"""Norm below which a part of an orthonormal column counts as rounding error."""
+ROUNDING = 1e-9  # norm below which a part of an orthonormal column counts as rounding error
 NOMINAL_IN = ("torque", "breakaway")
 """Equations in which regressors may depend on the nominal values."""
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Whitened rows of all equations, with the nominal tangent and the effect basis projected out.
-
-    Attributes:
-        effect_basis: Orthonormal columns of the selected effects, shape (n, g).
-        residual: Whitened residual after projection, shape (n,).
-        block: Block of each row, shape (n,).
-        gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
-        cache: Regressors that do not depend on the nominal values, by term and nonlinear
-            parameters; all stacks of the same recordings use this cache.
-        own: Regressors that depend on the nominal values; only this stack uses this cache.
-    """
+    """Whitened rows of all equations, without nominal tangent and effect basis (projected out)."""
 
     equations: tuple[Equation, ...]
     nominal: Nominal
     basis: tuple[Array, ...]
-    effect_basis: Array
-    residual: Array
-    block: np.ndarray
+    effect_basis: Array  # orthonormal columns of the selected effects, shape (n, g)
+    residual: Array  # whitened residual after projection, shape (n,)
+    block: np.ndarray  # block of each row, shape (n,)
     blocks: int
+    # Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
     gather: tuple[sparse.csr_matrix, ...] = field(repr=False)
+    # Regressors that do not depend on the nominal values, by term and nonlinear parameters; all
+    # stacks of the same recordings use this cache.
     cache: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+    # Regressors that depend on the nominal values; only this stack uses this cache.
     own: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
 
     def part(self, name: str) -> slice:
@@ -226,9 +208,7 @@ class Stack:
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
-        """Return regressors as whitened rows of the whole stack, without projection, shape (n,
-        k).
-        """
+        """Return regressors as whitened rows of the whole stack, not projected, shape (n, k)."""
         width = max(c.shape[1] for c in columns.values())
         out = np.zeros((len(self.residual), width))
         for equation in self.equations:
@@ -403,9 +383,7 @@ def view_regressors(
     shape: Shape,
     made: Callable[..., Array] = _computed,
 ) -> Callable[[View], Array]:
-    """Return a function that returns the regressors of one equation for a view; ``made`` may be a
-    cached function.
-    """
+    """Return a function of a view for the regressors of one equation; ``made`` may be cached."""
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
         return lambda view: made(make, delayed_view(view, nominal.late_s), nominal, shape)

@@ -123,8 +123,7 @@ def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-MOST = 0.5
-"""Share of a mismatch from which a coordinate has most of it."""
+MOST = 0.5  # share of a mismatch from which a coordinate has most of it
 
 
 def statement(

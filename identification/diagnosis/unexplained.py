@@ -66,9 +66,7 @@ _ENDS: Mapping[str, str] = {
     "remove": "the last effect that was removed again",
     DROPPED: "",
 }
-"""Name of each step by which a search ends without an effect to the words for the effect of this
-step.
-"""
+"""Step by which a search ends without an effect, to the words for the effect of this step."""
 
 
 def unexplained(

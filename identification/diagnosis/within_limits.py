@@ -39,34 +39,27 @@ ROUNDS = 8
 """Greatest number of steps; several steps are needed because the fall of friction, and regressors
 that depend on the nominal values, make the problem nonlinear.
 """
-CONVERGED = 1e-5
-"""Relative change of the cost below which the refinement ends."""
-STEP_SHARES = (1.0, 0.5, 0.2)
-"""Shares of a step that are tried."""
+CONVERGED = 1e-5  # relative change of the cost below which the refinement ends
+STEP_SHARES = (1.0, 0.5, 0.2)  # shares of a step that are tried
 RIDGE = 1e-4
 """Weight of a ridge penalty on every parameter, relative to the weight of the rows; of equivalent
 solutions the penalty selects the smallest.
 """
 Problem = tuple[Array, Array, tuple[Array, Array], Array]
 _JUDGED: WeakKeyDictionary[Joint, bool] = WeakKeyDictionary()
-"""Cache: fit to whether it is infeasible, because several comparisons need the answer for one
-fit.
-"""
+"""Cache: fit to whether it is infeasible, for several comparisons that ask about one fit."""
 _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 
 @dataclass(frozen=True)
 class _Point:
-    """Parameters and their residual.
-
-    Attributes:
-        left: Whitened residual, shape (n,). In all equations except the torque equation, constants
-            that are not reported, such as the zero of an encoder, are projected out.
-    """
+    """Parameters and their residual."""
 
     nominal: Nominal
     effects: tuple[Added, ...]
     stack: Stack
+    # Whitened residual, shape (n,). In all equations except the torque equation, constants that are
+    # not reported, such as the zero of an encoder, are projected out.
     left: Array
 
     @property
@@ -141,9 +134,7 @@ def within_limits(joint: Joint) -> Joint:
 
 
 def parameter_derivatives(joint: Joint) -> Array:
-    """Return whitened derivatives of the rows with respect to nominal parameters and coefficients,
-    shape (n, k).
-    """
+    """Return whitened derivatives by nominal parameters and coefficients, shape (n, k)."""
     return _problem(joint)[0]
 
 
@@ -304,9 +295,7 @@ def _point_after(
 
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
-"""Quantiles of the speed between which trial Stribeck speeds are placed, and number of trial
-Stribeck speeds.
-"""
+"""Speed quantiles between which trial Stribeck speeds lie, and the number of these speeds."""
 ACCEPTED_RATIO = 0.7
 """Greatest ratio of the sum of squares of a fit from an assumed fall of friction to that of the
 fit from the estimate, for which the assumed fall is accepted.
@@ -322,9 +311,7 @@ RUNG_WITHOUT_LOAD: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
 }
-"""Rung with load-dependent friction to the rung without load-dependent friction, which replaces it
-if no load is declared.
-"""
+"""Rung with load-dependent friction to the rung that replaces it if no load is declared."""
 
 
 def _steady_samples(recordings: Sequence[Recording], bandwidth_Hz: float) -> int:

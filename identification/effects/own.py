@@ -79,7 +79,7 @@ _BASE: Mapping[str, Mapping[str, float]] = {
 }
 _FACTOR = re.compile(r"([A-Za-z1]+)(?:\^(-?\d+(?:\.\d+)?))?")
 _PROBES = 160
-_PROBE_STEP_S = 0.01
+PROBE_STEP_S = 0.01
 
 
 class EffectError(ValueError):
@@ -132,14 +132,14 @@ class Seen:
         return np.nan_to_num(series) if name == "voltage" else series
 
 
-def sampled(step: Any, samples: Any, states: int, dt: float, p: Any) -> Array:
+def sampled(step: Any, samples: Any, states: int, dt: float, p: Any, first: float = 0.0) -> Array:
     """Return the values of a function of one sample with states, which are zero before the first
-    sample, shape (n,).
+    sample, shape (n,); ``first`` is the period before the first sample if it is not ``dt``.
     """
     x = np.zeros(states)
     out = np.empty(len(samples))
     for k in range(len(samples)):
-        out[k] = step(samples[k], x, dt, p)
+        out[k] = step(samples[k], x, dt if k or first == 0.0 else first, p)
     return out
 
 
@@ -171,9 +171,9 @@ class _Probe:
 
 
 @cache
-def _made_up() -> Mapping[str, Array]:
+def made_up() -> Mapping[str, Array]:
     """Return signals of a plausible motion, for tests of a function without a recording."""
-    t = _PROBE_STEP_S * np.arange(_PROBES)
+    t = PROBE_STEP_S * np.arange(_PROBES)
     w = 2.0 * math.pi
     angle = 0.4 * np.sin(w * t) + 0.1 * np.sin(3.7 * w * t + 0.6)
     velocity = 0.4 * w * np.cos(w * t) + 0.37 * w * np.cos(3.7 * w * t + 0.6)
@@ -359,6 +359,8 @@ class OwnEffect(Effect):
                 f"{c.filename}:{c.lineno}: " for c in calls if f"{c.filename}:" in function.place
             ]
             form = "" if own else "; a function is f(s, p), with states f(s, x, dt, p)"
+            if getattr(error, "obj", None) is p:
+                form = f"; the parameters are {', '.join(values)}"
             said = f"{type(error).__name__}: {error}{form}"
             raise EffectError(f"{[function.place, *own][-1]}{self.name}: {said}") from error
         if found.shape != (len(seen),):
@@ -390,7 +392,7 @@ class OwnEffect(Effect):
     def _loops(self) -> Mapping[str, Callable[..., Array]]:
         """Loops over samples, by equation; compiled if the functions can be compiled."""
         found: dict[str, Callable[..., Array]] = {}
-        one = samples_of(_Probe(_made_up(), set()), sorted(self.used))[:1]
+        one = samples_of(_Probe(made_up(), set()), sorted(self.used))[:1]
         p = _record_of(tuple(q.name for q in self.parameters))
         for equation, call, place in self.functions.values():
             found[equation] = partial(_LOOP, numba.njit(error_model="numpy")(call))
@@ -423,10 +425,10 @@ class OwnEffect(Effect):
         Raises:
             EffectError: The function fails, or does not return finite numbers.
         """
-        series = {n: s * factor(SIGNAL_UNITS[n], scale, linear) for n, s in _made_up().items()}
+        series = {n: s * factor(SIGNAL_UNITS[n], scale, linear) for n, s in made_up().items()}
         probe = _Probe(series, set() if used is None else used)
         known = {q.name: values[q.name] * factor(q.unit, scale) for q in self.parameters}
-        dt = _PROBE_STEP_S * factor("s", scale)
+        dt = PROBE_STEP_S * factor("s", scale)
         return self.response(self.functions[equation], probe, dt, known)
 
     def is_linear(self, equation: str, names: tuple[str, ...], values: Mapping[str, float]) -> bool:
@@ -450,12 +452,16 @@ class OwnEffect(Effect):
         gaps = [sum(parts) - whole, *(d + 2.0 * p for d, p in zip(doubled, parts, strict=True))]
         return all(bool(np.max(np.abs(gap)) <= small) for gap in gaps)
 
+    @property
+    def middle(self) -> dict[str, float]:
+        """A value of each parameter within its range."""
+        return {q.name: _within(q, 0.45) for q in self.parameters}
+
     def problems(self) -> list[str]:
         """Return what is wrong with the functions by evaluations on made-up signals: units, and a
         size that no parameter determines.
         """
-        found = []
-        middle = {q.name: _within(q, 0.45) for q in self.parameters}
+        found, middle = [], self.middle
         for equation, unit in ((e, EQUATION_UNITS[e]) for e in self.functions):
             plain = self.probed(middle, equation)
             wrong = min(
@@ -463,7 +469,7 @@ class OwnEffect(Effect):
                     [
                         base
                         for base in ("m", "kg", "s", "A", "K")
-                        if not _alike(
+                        if not alike(
                             self.probed(middle, equation, None, {base: 3.7}, linear),
                             plain * factor(unit, {base: 3.7}, linear),
                         )
@@ -484,6 +490,51 @@ class OwnEffect(Effect):
                     f"zero: {equation} is not zero where {' or '.join(holds)} is zero, so that no "
                     "size means that the effect is absent"
                 )
+        return found
+
+    def problems_of(self, function: Callable[..., float], size: int) -> list[str]:
+        """Return what is wrong with the function that injects the effect into a simulated machine,
+        by evaluations on a made-up motion: numbers that are not finite, units, sign.
+
+        Args:
+            function: ``f(angle, speed, motor_torque, load, state, dt, p)``, the torque that resists
+                the motion, N m.
+            size: Number of values of ``state``.
+        """
+        names = ("angle", "velocity", "motor_torque", "load")
+
+        def torque(scale: Mapping[str, float] = {}) -> Array:
+            rows = zip(*(made_up()[n] * factor(SIGNAL_UNITS[n], scale) for n in names), strict=True)
+            known = {q.name: self.middle[q.name] * factor(q.unit, scale) for q in self.parameters}
+            p = _record_of(tuple(known))(**known)
+            state, dt = np.zeros(size), PROBE_STEP_S * factor("s", scale)
+            return np.array([float(function(*map(float, row), state, dt, p)) for row in rows])
+
+        where = f"{_place(function)}{getattr(function, '__name__', function)}: "
+        try:
+            with np.errstate(all="ignore"):
+                plain = torque()
+                scaled = {b: torque({b: 3.7}) for b in ("m", "kg", "s", "A", "K")}
+        except Exception as error:  # noqa: BLE001 - whatever a user's function raises
+            fields = getattr(getattr(error, "obj", None), "_fields", ())
+            more = f"; the parameters are {', '.join(fields)}" if fields else ""
+            form = "f(angle, speed, motor_torque, load, state, dt, p)"
+            more = more or (f"; it is called as {form}" if isinstance(error, TypeError) else "")
+            return [f"{where}{type(error).__name__}: {error}{more}"]
+        if not np.all(np.isfinite(plain)):
+            return [f"{where}returns {plain[np.argmin(np.isfinite(plain))]} in a plausible motion"]
+        found = []
+        wrong = [b for b, t in scaled.items() if not alike(t, plain * factor("N m", {b: 3.7}))]
+        if wrong:
+            found.append(
+                f"{where}units: it is not in N m if its arguments are in SI units: the powers of "
+                f"{', '.join(wrong)} differ; make a number that has a unit a parameter"
+            )
+        if "torque" in self.functions and self.probed(self.middle, "torque") @ plain < 0.0:
+            found.append(
+                f"{where}sign: it returns the opposite of torque; both are positive where they "
+                "resist motion in the positive direction"
+            )
         return found
 
     def _vanishes(self, equation: str, values: Mapping[str, float]) -> bool:
@@ -543,7 +594,8 @@ def factor(unit: str, scale: Mapping[str, float], linear: bool = False) -> float
     )
 
 
-def _alike(one: Array, other: Array) -> bool:
+def alike(one: Array, other: Array) -> bool:
+    """Whether two series are equal but for rounding."""
     return float(np.linalg.norm(one - other)) <= 1e-3 * float(np.linalg.norm(other))
 
 

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from identification.effects import EFFECTS
 from identification.effects.model import CorrectedModel, views_for
 from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.spread import CONFIDENCE, NO_SPREAD, Spread, quantile
@@ -71,7 +70,7 @@ class Fitted:
                 effect, _, own = name.rpartition(".")
                 least, most = LEAST_SHARE * abs(middle[name]), math.inf
                 if effect:
-                    least, most = EFFECTS[effect].physical_range(own)
+                    least, most = self.model.catalogue[effect].physical_range(own)
                 elif name == "offset":
                     least = -math.inf
                 drawn[name] = min(max(middle[name] + change, least), most)

@@ -17,30 +17,22 @@ from identification.prepare import (
 )
 from identification.recording import Dataset, Recording
 
-STEP = 1.25
-"""Ratio of successive bandwidths that are tried."""
+STEP = 1.25  # ratio of successive bandwidths that are tried
 SHARE_OF_RATE, SLOW_SHARE_OF_RATE = 1.0 / 6.0, 0.4
 """Greatest bandwidth that is tried, relative to the sampling rate: of any log, and of a slow log in
 which no lower bandwidth leaves enough samples in motion.
 """
 MOST_SHORT = 0.1
 """Greatest share of the samples that may be in pieces of files that are shorter than the filter."""
-NAMED = 3
-"""Greatest number of recordings that a warning lists by name."""
+NAMED = 3  # greatest number of recordings that a warning lists by name
 
 
 class Choice(NamedTuple):
-    """Recordings and bandwidth of a fit.
+    """Recordings and bandwidth of a fit."""
 
-    Attributes:
-        dataset: The dataset without the recordings that are shorter than the filter.
-        bandwidth: Bandwidth of torque and regressors, Hz.
-        warnings: One text on all recordings that are left out; empty if none is.
-    """
-
-    dataset: Dataset
-    bandwidth: float
-    warnings: tuple[str, ...] = ()
+    dataset: Dataset  # the dataset without the recordings that are shorter than the filter
+    bandwidth: float  # bandwidth of torque and regressors, Hz
+    warnings: tuple[str, ...] = ()  # one text on all recordings that are left out; empty if none is
 
 
 def moving_samples(recordings: Sequence[Recording], bandwidth_Hz: float) -> int:

@@ -26,8 +26,7 @@ from identification.prepare import Prepared, prepare
 from identification.recording import Recording
 from identification.result import KnownConstant, Prior
 
-_SILENT = 1e-12
-"""Information that is assumed for an unknown that affects no residual."""
+_SILENT = 1e-12  # information that is assumed for an unknown that affects no residual
 
 
 def bound(matching: BlockArrow) -> Array:
@@ -115,18 +114,12 @@ Stribeck speed below all sampled speeds).
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters and its Cramer-Rao bound, in the units of the free vector,
-    shape (p, p).
+    """Covariance of the free parameters and its Cramer-Rao bound, in their units, shape (p, p)."""
 
-    Attributes:
-        achieved: Covariance with the inertia at the solution of its estimating equation.
-        floor: Cramer-Rao bound.
-        step: Step of the free parameters to the solution of this equation; the other parameters
-            change with the inertia, shape (p,).
-    """
-
-    achieved: Array
-    floor: Array
+    achieved: Array  # covariance with the inertia at the solution of its estimating equation
+    floor: Array  # Cramer-Rao bound
+    # Step of the free parameters to the solution of this equation; the other parameters change with
+    # the inertia, shape (p,).
     step: Array
 
 

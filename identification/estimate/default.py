@@ -18,11 +18,7 @@ import numpy as np
 
 from identification.estimate import equation_error as varpro
 from identification.estimate.bandwidth import choose_bandwidth, common_bandwidth, listed
-from identification.estimate.covariance import (
-    shifts_of_constants,
-    with_constants,
-    with_priors,
-)
+from identification.estimate.covariance import shifts_of_constants, with_constants, with_priors
 from identification.estimate.equation_error import (
     Stage,
     discrepancy,
@@ -143,9 +139,7 @@ def identify(
         curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(
-        found,
-        stages=(*stages, *found.stages),
-        warnings=(*found.warnings, *notes, *short, *doubts),
+        found, stages=(*stages, *found.stages), warnings=(*found.warnings, *notes, *short, *doubts)
     )
     result = identification(dataset, prepared, whole)
     seconds = perf_counter() - started
@@ -153,9 +147,7 @@ def identify(
 
 
 def identification(
-    dataset: Dataset,
-    prepared: Sequence[tuple[Recording, Sequence[Prepared]]],
-    found: Found,
+    dataset: Dataset, prepared: Sequence[tuple[Recording, Sequence[Prepared]]], found: Found
 ) -> Identification:
     """Return the result of the default method.
 

@@ -16,13 +16,7 @@ from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray, IntArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples
-from identification.prepare import (
-    Prepared,
-    joint_angle,
-    prepare,
-    uniform_grid,
-    volts_per_torque,
-)
+from identification.prepare import Prepared, joint_angle, prepare, uniform_grid, volts_per_torque
 from identification.recording import Model, Recording, RecordingError
 from identification.signals import quantum, resample
 
@@ -30,10 +24,8 @@ HIGHEST_SHARE = 1.0 / 3.0
 """Greatest Stribeck speed that is tried, relative to the greatest recorded speed; with a higher
 Stribeck speed the falling part cannot be distinguished from a straight line.
 """
-LEAST_MOTION = 40
-"""Least number of moving samples, over all recordings of a stage, for a fit."""
-LOWEST_SHARE = 1e-3
-"""Least Stribeck speed that is tried, relative to the greatest recorded speed."""
+LEAST_MOTION = 40  # least number of moving samples, over all recordings of a stage, for a fit
+LOWEST_SHARE = 1e-3  # least Stribeck speed that is tried, relative to the greatest recorded speed
 
 
 def samples_in_motion(prepared: Sequence[Prepared]) -> int:
@@ -158,23 +150,17 @@ class Stage:
 
     The rise dM = Ms - Mc (dmu = mu_s - mu_c) is a coefficient in place of the static level, so that
     its lower bound can be 0.
-
-    Attributes:
-        name: ``unloaded`` or ``loaded``.
-        coulomb: Mc or mu_c.
-        static: Ms or mu_s, or None if the model has no static friction above Coulomb friction.
-        speed: omega_sf or omega_sL, or None if the model has no Stribeck speed.
-        others: Names of the remaining coefficients.
-        known: Parameters from the unloaded stage, which are fixed in the loaded stage.
     """
 
-    name: str
-    coulomb: str
+    name: str  # `unloaded` or `loaded`
+    coulomb: str  # Mc or mu_c
+    # Ms or mu_s, or None if the model has no static friction above Coulomb friction.
     static: str | None
-    speed: str | None
-    others: tuple[str, ...]
+    speed: str | None  # omega_sf or omega_sL, or None if the model has no Stribeck speed
+    others: tuple[str, ...]  # names of the remaining coefficients
     prepared: tuple[Prepared, ...]
     model: Model
+    # Parameters from the unloaded stage, which are fixed in the loaded stage.
     known: Mapping[str, float]
 
     @property
@@ -310,31 +296,20 @@ def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str,
     )
 
 
-GRID = 40
-"""Number of Stribeck speeds that are tried before the bracketed search."""
+GRID = 40  # number of Stribeck speeds that are tried before the bracketed search
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of one stage, with the history of its search.
+    """Solution of one stage, with the history of its search."""
 
-    Attributes:
-        omega_s: Stribeck speed of least cost.
-        coefficients: Linear coefficients at this Stribeck speed, shape (p,).
-        cost: Sum of squared residuals.
-        evaluations: Number of least-squares solutions.
-        omega_history: Best omega_s so far after each evaluation, shape (e,).
-        coefficient_history: Coefficients at these Stribeck speeds, shape (e, p).
-        cost_history: Costs at these Stribeck speeds, shape (e,).
-    """
-
-    omega_s: float
-    coefficients: Array
-    cost: float
-    evaluations: int
-    omega_history: Array
-    coefficient_history: Array
-    cost_history: Array
+    omega_s: float  # Stribeck speed of least cost
+    coefficients: Array  # linear coefficients at this Stribeck speed, shape (p,)
+    cost: float  # sum of squared residuals
+    evaluations: int  # number of least-squares solutions
+    omega_history: Array  # best omega_s so far after each evaluation, shape (e,)
+    coefficient_history: Array  # coefficients at these Stribeck speeds, shape (e, p)
+    cost_history: Array  # costs at these Stribeck speeds, shape (e,)
 
 
 def solve(design: Callable[[float], Design], low: float, high: float) -> Solution:
@@ -376,8 +351,7 @@ def solve(design: Callable[[float], Design], low: float, high: float) -> Solutio
     )
 
 
-BLOCK_CORRELATION_TIMES = 10.0
-"""Ratio of the block length to the correlation time of the residual."""
+BLOCK_CORRELATION_TIMES = 10.0  # ratio of the block length to the correlation time of the residual
 LEAST_BLOCKS = 8
 
 
@@ -561,30 +535,21 @@ def discrepancy(
 INPUTS = ("command", "feedforward", "load_force")
 SAME = 2e-3
 """Greatest difference of inputs that count as equal, as a share of the range of each input."""
-LEAST_CORRELATION = 0.95
-"""Least autocorrelation of the command at a lag that counts as its period."""
+LEAST_CORRELATION = 0.95  # least autocorrelation of the command at a lag that counts as its period
 NEAR, ROWS = 0.05, 2000
 """Range of lags around the first high autocorrelation, over its lag, and samples compared."""
-NEIGHBOURS = 0.02
-"""Share of the period, or repeat, over which inputs must be equal around a sample."""
+NEIGHBOURS = 0.02  # share of the period, or repeat, over which inputs must be equal around a sample
 LEAST_SAMPLES = 100
 
 
 @dataclass(frozen=True)
 class Floor:
-    """Torque noise floor: the least torque error that any model of these recordings can have.
+    """Torque noise floor: the least torque error that any model of these recordings can have."""
 
-    Attributes:
-        rms: Rms of the floor, in the unit of the fit.
-        samples: Number of pairs of samples used.
-        periods: Number of pairs of periods within recordings used.
-        repeats: Number of pairs of recordings used.
-    """
-
-    rms: float
-    samples: int
-    periods: int
-    repeats: int
+    rms: float  # rms of the floor, in the unit of the fit
+    samples: int  # number of pairs of samples used
+    periods: int  # number of pairs of periods within recordings used
+    repeats: int  # number of pairs of recordings used
 
 
 def noise_floor(
@@ -701,8 +666,7 @@ def _equal_inputs(p: Prepared, q: Prepared, later: Array, span: float) -> BoolAr
     return np.asarray(others[last] == others[first])
 
 
-LEAST_S = 0.4
-"""Shortest interval of constant commanded speed that is used."""
+LEAST_S = 0.4  # shortest interval of constant commanded speed that is used
 SETTLING_SHARE = 0.4
 """Share of each interval that is omitted at the start, while the joint accelerates."""
 SMOOTHING_S = 0.02
@@ -716,20 +680,14 @@ _DIGITS = 6  # decimals of a speed in rad/s; speeds count as equal if they agree
 
 @dataclass(frozen=True)
 class UniformPoint:
-    """One interval of constant commanded speed.
-
-    Attributes:
-        speed: Commanded speed with sign, rad/s.
-        torque: Mean torque of the motor at the joint, N m.
-        spread: Rms deviation of the measured speed from its mean, relative to the commanded speed.
-        moment: Contact moment F_P L1, N m.
-    """
+    """One interval of constant commanded speed."""
 
     recording: str
-    speed: float
-    torque: float
+    speed: float  # commanded speed with sign, rad/s
+    torque: float  # mean torque of the motor at the joint, N m
+    # Rms deviation of the measured speed from its mean, relative to the commanded speed.
     spread: float
-    moment: float
+    moment: float  # contact moment F_P L1, N m
 
     @property
     def uniform(self) -> bool:

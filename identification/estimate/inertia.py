@@ -23,20 +23,15 @@ from identification.numerics.least_squares import BlockArrow, huber_weight
 
 @dataclass(frozen=True)
 class Replicate:
-    """One simulated replicate of an experiment.
+    """One simulated replicate of an experiment."""
 
-    Attributes:
-        point: The simulated recordings, in the order of the real ones, at the simulated values.
-        sensitivities: Derivatives of the residuals at the point with respect to the free parameters
-            of the real experiment.
-        residuals: Prediction errors over their standard deviations, shape (r,).
-        noise: Number of the noise realisation; a realisation and its copy with reversed sign have
-            one number.
-    """
-
-    point: Point
+    point: Point  # the simulated recordings, in the order of the real ones, at the simulated values
+    # Derivatives of the residuals at the point with respect to the free parameters of the real
+    # experiment.
     sensitivities: BlockArrow
-    residuals: Array
+    residuals: Array  # prediction errors over their standard deviations, shape (r,)
+    # Number of the noise realisation; a realisation and its copy with reversed sign have one
+    # number.
     noise: int
 
     def inflated(self) -> tuple[BlockArrow, Array]:
@@ -47,34 +42,22 @@ class Replicate:
 
 @dataclass(frozen=True)
 class Curve:
-    """Sensitivities over one segment of a replicate.
+    """Sensitivities over one segment of a replicate."""
 
-    Attributes:
-        values: Derivatives with respect to the parameters, then to the breakaway time, shape (n, p
-            + 1).
-        onset: Breakaway time, in samples after the segment's first sample.
-        noise: Number of the replicate's noise realisation.
-    """
-
+    # Derivatives with respect to the parameters, then to the breakaway time, shape (n, p + 1).
     values: Array
-    onset: float
-    noise: int
+    onset: float  # breakaway time, in samples after the segment's first sample
+    noise: int  # number of the replicate's noise realisation
 
 
 @dataclass(frozen=True)
 class ReplicatedSegment:
-    """A segment of a recording with its counterparts in the replicates.
+    """A segment of a recording with its counterparts in the replicates."""
 
-    Attributes:
-        number: Number of the segment, over all recordings.
-        rows: Rows of the segment's residuals.
-        onset: Breakaway time, in samples after the segment's first sample.
-        curves: Counterparts of the segment in the replicates; a replicate may have none.
-    """
-
-    number: int
-    rows: slice
-    onset: float
+    number: int  # number of the segment, over all recordings
+    rows: slice  # rows of the segment's residuals
+    onset: float  # breakaway time, in samples after the segment's first sample
+    # Counterparts of the segment in the replicates; a replicate may have none.
     curves: tuple[Curve, ...]
 
     def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
@@ -161,14 +144,11 @@ _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
 """Width of the Gaussian smoothing, samples: share of the time since breakaway, constant, most."""
-_TRUNCATED = 4.0
-"""Number of standard deviations at which the smoothing Gaussian is truncated."""
+_TRUNCATED = 4.0  # number of standard deviations at which the smoothing Gaussian is truncated
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero at samples that lie in no other matching
-    segment.
-    """
+    """Return the instruments of every residual; zero at samples in no other matching segment."""
     count = len(point.free)
     both_ways = np.array([k == OFFSET for k in point.free] + [False])
     parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
@@ -260,16 +240,12 @@ def _responses(length: int) -> NDArray[np.complex128]:
 
 @dataclass(frozen=True)
 class Equation:
-    """The linearised estimating equation of the inertia, as a sum of contributions of the
-    residuals.
+    """The linearised estimating equation of the inertia: a sum of contributions of residuals."""
 
-    Attributes:
-        influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
-        parts: Decrease of the logarithm of the inertia due to each residual: directly, and by its
-            effect on the instruments of other segments, shape (r,).
-    """
-
+    # Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
     influence: Array
+    # Decrease of the logarithm of the inertia due to each residual: directly, and by its effect on
+    # the instruments of other segments, shape (r,).
     parts: Array
 
 
@@ -387,10 +363,8 @@ def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
     )
 
 
-SOLVED = 3.0
-"""Chi-square below which the estimating equations count as solved (M29)."""
-ROUNDS = 6
-"""Greatest number of rounds, each with new instruments, weights and derivatives."""
+SOLVED = 3.0  # chi-square below which the estimating equations count as solved (M29)
+ROUNDS = 6  # greatest number of rounds, each with new instruments, weights and derivatives
 _LEVEL_ROUNDS = (0, 2)
 _CHORDS = 8
 _HALVINGS = 5
@@ -398,8 +372,7 @@ _LONGEST_LOG = 0.4
 _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
-_MOST = 3.0
-"""Information of a segment over the recording's median above which it is inflated (M13)."""
+_MOST = 3.0  # information of a segment over the recording's median above which it is inflated (M13)
 _CHORD_SETTLED = 0.02
 
 

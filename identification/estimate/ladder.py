@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 
 from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.default import identify
-from identification.estimate.equation_error import (
-    Floor,
-    Stage,
-    noise_floor,
-    unloaded_stage,
-)
+from identification.estimate.equation_error import Floor, Stage, noise_floor, unloaded_stage
 from identification.estimate.parameter_table import fit_of
 from identification.model.parameters import LADDER, LOAD_PARAMETERS, bears_load
 from identification.numerics.arrays import Array, Progress, silent
@@ -44,20 +39,15 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of a friction model in one bootstrap draw.
+    """Errors of a friction model in one bootstrap draw."""
 
-    Attributes:
-        train: Torque error on the drawn recordings to fit, in the unit of the fit.
-        torque: Torque error on the drawn recordings to score.
-        angle: Rms angle error of the simulated loop on the drawn recordings to score, rad (m); None
-            if the loop is not simulated.
-        angle_mae: Mean absolute angle error on the drawn recordings to score, rad (m), or None if
-            the loop is not simulated.
-    """
-
-    train: float
-    torque: float
+    train: float  # torque error on the drawn recordings to fit, in the unit of the fit
+    torque: float  # torque error on the drawn recordings to score
+    # Rms angle error of the simulated loop on the drawn recordings to score, rad (m); None if the
+    # loop is not simulated.
     angle: float | None
+    # Mean absolute angle error on the drawn recordings to score, rad (m), or None if the loop is
+    # not simulated.
     angle_mae: float | None
 
 
@@ -155,8 +145,7 @@ def _triangle(stage: Stage, omega_s: float) -> Array:
     return np.asarray(np.linalg.qr(np.column_stack([design.columns, design.target]), mode="r"))
 
 
-REPLICATES = 100
-"""Number of bootstrap draws."""
+REPLICATES = 100  # number of bootstrap draws
 
 
 @dataclass(frozen=True)
@@ -170,26 +159,19 @@ class Interval:
 
 @dataclass(frozen=True)
 class Rung:
-    """One model of the ladder.
-
-    Attributes:
-        train: Torque error on the fitted recordings, in the unit of the fit.
-        scored: Torque error on the recordings with role ``validate``, or None without such
-            recordings.
-        angle: Rms angle error of the simulated control loop, rad (m), on the validation recordings,
-            or on the fitted recordings if there are no validation recordings; None without a
-            controller.
-        angle_mae: Mean absolute angle error on the recordings of ``angle``, rad (m).
-        best: Share of the bootstrap draws in which this rung has the least torque error on the
-            scored recordings.
-    """
+    """One model of the ladder."""
 
     friction: str
     result: Identification
-    train: Interval
+    train: Interval  # torque error on the fitted recordings, in the unit of the fit
+    # Torque error on the recordings with role `validate`, or None without such recordings.
     scored: Interval | None
+    # Rms angle error of the simulated control loop, rad (m), on the validation recordings, or on
+    # the fitted recordings if there are no validation recordings; None without a controller.
     angle: Interval | None
-    angle_mae: Interval | None
+    angle_mae: Interval | None  # mean absolute angle error on the recordings of `angle`, rad (m)
+    # Share of the bootstrap draws in which this rung has the least torque error on the scored
+    # recordings.
     best: float
 
 
@@ -291,48 +273,35 @@ def draw_interval(value: float, draws: Array | Sequence[float]) -> Interval:
 
 @dataclass(frozen=True)
 class Moved:
-    """Comparison of two estimates of one parameter, from two groups of recordings.
-
-    Attributes:
-        difference: Second estimate less first estimate, or None if the parameter is not
-            identifiable from the first or from the other recordings.
-        joint: Half width of the 90 % interval of the difference, for independent estimates.
-        moved: Whether the difference exceeds this half width.
-    """
+    """Comparison of two estimates of one parameter, from two groups of recordings."""
 
     name: str
     unit: str
     first: Parameter
     second: Parameter
+    # Second estimate less first estimate, or None if the parameter is not identifiable from the
+    # first or from the other recordings.
     difference: float | None
+    # Half width of the 90 % interval of the difference, for independent estimates.
     joint: float | None
-    moved: bool | None
+    moved: bool | None  # whether the difference exceeds this half width
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """Result of applying a fitted model to other recordings.
+    """Result of applying a fitted model to other recordings."""
 
-    Attributes:
-        fit: Torque error of the transferred model on the other recordings.
-        own: Torque error of the model identified on the other recordings.
-        floor: Noise floor of the other recordings, or None if they contain no repeated motion.
-        by_recording: Torque error of the transferred model on each recording.
-    """
-
-    fit: Fit
-    own: Fit
+    fit: Fit  # torque error of the transferred model on the other recordings
+    own: Fit  # torque error of the model identified on the other recordings
+    # Noise floor of the other recordings, or None if they contain no repeated motion.
     floor: Floor | None
-    by_recording: Mapping[str, Fit]
+    by_recording: Mapping[str, Fit]  # torque error of the transferred model on each recording
     parameters: tuple[Moved, ...]
     other: Identification
 
 
 def transfer(
-    first: Identification,
-    dataset: Dataset,
-    other: Dataset,
-    rng: np.random.Generator | None = None,
+    first: Identification, dataset: Dataset, other: Dataset, rng: np.random.Generator | None = None
 ) -> Transfer:
     """Score a fitted model on other recordings, and compare it with an identification of the other
     recordings.

@@ -28,17 +28,14 @@ from identification.numerics.arrays import Array
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model, Recording
-from identification.result import Fit, Parameter, Trace, Tradeoff
+from identification.result import WIDEST, Fit, Parameter, Trace, Tradeoff
 from identification.views.nominal import Nominal
 from identification.views.predicted import Predicted, noise_floor, predicted_torque, relative, rms
 from identification.views.view import views
 
 OFFSET_SHARE = 0.1
 """Greatest half width of the interval of an identified offset, relative to the rms torque."""
-WIDEST = 0.5
-"""Half width of the 90 % interval over the value above which a parameter is not identifiable."""
-LEAST_RISE = 1e-3
-"""Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
+LEAST_RISE = 1e-3  # ratio of the rise to the Coulomb level below which the rise is not identifiable
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
@@ -368,8 +365,7 @@ def _why(
     return interval
 
 
-TRADE_OFF = 0.9
-"""Least correlation, as a magnitude, at which two parameters count as a trade-off."""
+TRADE_OFF = 0.9  # least correlation, as a magnitude, at which two parameters count as a trade-off
 _SHOWN = 0.3
 """A parameter is listed in a combination if its share is at least this part of the greatest share.
 """
@@ -383,9 +379,7 @@ _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 def tradeoffs(
     spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[Tradeoff, ...]:
-    """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
-    first.
-    """
+    """Return pairs with a correlation of :data:`TRADE_OFF` or more, the highest first."""
     names, correlation = _correlation(spread, values)
     found = []
     for j, first in enumerate(names):
@@ -394,7 +388,10 @@ def tradeoffs(
             if abs(rho) >= TRADE_OFF:
                 second = names[k]
                 pinned = _pinned(first, second, spread, values, units)
-                words = f"{first} and {second} are correlated (correlation {rho:+.3f}): {pinned}"
+                words = (
+                    f"the errors of {first} and {second} depend on each other (correlation "
+                    f"{rho:+.3f}): {pinned}"
+                )
                 found.append(Tradeoff((first, second), rho, words))
     return tuple(sorted(found, key=lambda pair: -abs(pair.correlation)))
 
@@ -415,17 +412,18 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
     changes = [f"{name} by {share:+.2g} %" for name, share in shown]
     where = (
-        f"{shown[0][0]} alone" if len(shown) == 1 else "a joint change of " + " and ".join(changes)
+        f"{shown[0][0]} alone" if len(shown) == 1 else f"the combination {' with '.join(changes)}"
     )
     upper = np.triu(np.abs(correlation), 1)
     line = (
-        f"least determined is {where}: relative standard deviation "
+        f"least accurate is {where}, with a standard deviation of "
         f"{100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
     )
     if len(names) > 1:
         j, k = np.unravel_index(int(np.argmax(upper)), upper.shape)
         line += (
-            f"; the greatest correlation is {correlation[j, k]:+.2f}, of {names[j]} and {names[k]}"
+            f"; the errors that depend most on each other are those of {names[j]} and {names[k]}, "
+            f"with a correlation of {correlation[j, k]:+.2f}"
         )
     return line
 

@@ -54,10 +54,7 @@ from identification.signals import quantum
 
 
 def refusal(
-    refined: Refined,
-    before: float,
-    after: float,
-    limits: AcceptanceLimits = DEFAULT.acceptance,
+    refined: Refined, before: float, after: float, limits: AcceptanceLimits = DEFAULT.acceptance
 ) -> str:
     """Return the reason why the refined values are rejected; empty if they are accepted.
 
@@ -118,24 +115,17 @@ NEEDED = (
 
 @dataclass(frozen=True)
 class Found:
-    """The final estimate, with the steps that led to it.
-
-    Attributes:
-        spread: Covariance of the fitted parameters.
-        floors: Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an
-            accepted refinement.
-        taken: The refinement, if it is accepted.
-        starts: Search ends of the refinement, whether accepted or not.
-        warnings: Reason why the refinement was rejected.
-    """
+    """The final estimate, with the steps that led to it."""
 
     values: dict[str, float]
-    spread: Spread
+    spread: Spread  # covariance of the fitted parameters
+    # Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an accepted
+    # refinement.
     floors: Mapping[str, float] = field(default_factory=dict)
-    taken: Refined | None = None
-    starts: tuple[Starts, ...] = ()
+    taken: Refined | None = None  # the refinement, if it is accepted
+    starts: tuple[Starts, ...] = ()  # search ends of the refinement, whether accepted or not
     stages: tuple[Convergence, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # reason why the refinement was rejected
 
 
 def refine(
@@ -435,10 +425,7 @@ def refine_pieces(
         if length < len(free) * SETTLED**2:
             break
     evaluated = replace(
-        start,
-        evaluations=evaluations,
-        iterations=start.iterations + number + 1,
-        left_out=left_out,
+        start, evaluations=evaluations, iterations=start.iterations + number + 1, left_out=left_out
     )
     return _over_all(evaluated, found, names, vector)
 

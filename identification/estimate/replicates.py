@@ -40,20 +40,15 @@ from identification.recording import Model
 from identification.result import DEFAULT, ReplicateSettings
 from identification.simulation.drive_loop import Loop, Response, drive_loop, respond
 
-_SEEDS = 1 << 63
-"""Upper limit of the random seeds of the noise."""
+_SEEDS = 1 << 63  # upper limit of the random seeds of the noise
 
 
 @dataclass(frozen=True)
 class Bias:
-    """Bias of the likelihood.
+    """Bias of the likelihood."""
 
-    Attributes:
-        shifts: Bias of each parameter by name, SI.
-        variances: Variance of each bias, due to the finite number of replicates, by name.
-    """
-
-    shifts: Mapping[str, float]
+    shifts: Mapping[str, float]  # bias of each parameter by name, SI
+    # Variance of each bias, due to the finite number of replicates, by name.
     variances: Mapping[str, float]
     replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
 
@@ -118,10 +113,7 @@ def likelihood_bias(
 
 
 def logged_share(
-    joint: Point,
-    loop: Loop,
-    rng: np.random.Generator,
-    unseen: float = DEFAULT.replicates.unseen,
+    joint: Point, loop: Loop, rng: np.random.Generator, unseen: float = DEFAULT.replicates.unseen
 ) -> float:
     """Return the logged share: the share of the variance of the torque noise that is in the logged
     torque and not in the true torque (M34).
@@ -152,14 +144,10 @@ def logged_share(
 class _Scored:
     """A simulated replicate, and the step of one iteration of Fisher scoring on its likelihood,
     from the parameter values with which the replicate was simulated.
-
-    Attributes:
-        step: Scoring step, shape (p,).
-        deviation: Standard deviation of the step, shape (p,); infinite for the inertia, whose step
-            is zero.
     """
 
-    step: Array
+    step: Array  # scoring step, shape (p,)
+    # Standard deviation of the step, shape (p,); infinite for the inertia, whose step is zero.
     deviation: Array
     replicate: Replicate
 

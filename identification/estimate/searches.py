@@ -54,46 +54,35 @@ MOST_PASSES = 4000
 returns its best end. If the model is right, the unloaded and the loaded fit take some hundred
 passes each, and 3000 passes in the worst known case.
 """
-STARTS = 3
-"""Start points from which a search is run: the likeliest may be in a wrong basin."""
+STARTS = 3  # start points from which a search is run: the likeliest may be in a wrong basin
 _MISSED = 0.8
 """Mean Huber cost of a residual above which a search counts as not converged. The mean cost is 0.26
 to 0.55 at true values, and 1.4 or more if a search does not converge.
 """
-_WIDE_STEP = 0.3
-"""Relative step of finite differences after searches that failed to converge."""
-_SEEKS = 3
-"""Greatest number of alternations between a fit and a grid search of the breakaway times."""
-_LEAST_GAIN = 0.05
-"""Decrease of the negative log likelihood in a step, below which a fit ends."""
+_WIDE_STEP = 0.3  # relative step of finite differences after searches that failed to converge
+_SEEKS = 3  # greatest number of alternations between a fit and a grid search of the breakaway times
+_LEAST_GAIN = 0.05  # decrease of the negative log likelihood in a step, below which a fit ends
 _LEAST_RESOLVED = 0.05
 _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
     ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
 """Far, then near neighbours of the best end, as index of a parameter and factor on it."""
-_ROUNDS = 2
-"""Greatest number of rounds of searches from neighbours; the second only after a gain."""
+_ROUNDS = 2  # greatest number of rounds of searches from neighbours; the second only after a gain
 _APART = 0.1
 """Relative difference of Stribeck speed or rise above which ends are in different basins."""
 SAME_END = 1.0
 """Difference in deviance up to which ends are equal: one standard error of a parameter."""
-_AS_LIKELY = 4.0
-"""Difference in deviance up to which ends are as likely: two standard errors."""
+_AS_LIKELY = 4.0  # difference in deviance up to which ends are as likely: two standard errors
 _SEVERAL = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """End of a search of the loaded fit.
+    """End of a search of the loaded fit."""
 
-    Attributes:
-        unresolved: Whether the Stribeck speed at the end is below the resolution of the samples.
-        deviance: Deviance (M24) at the end; infinite if it is not finite.
-    """
-
-    unresolved: bool
-    deviance: float
+    unresolved: bool  # whether the Stribeck speed at the end is below the resolution of the samples
+    deviance: float  # deviance (M24) at the end; infinite if it is not finite
     point: Point
 
     @property
@@ -104,15 +93,10 @@ class End:
 
 @dataclass(frozen=True, eq=False)
 class LoadedFit:
-    """Result of the loaded fit.
+    """Result of the loaded fit."""
 
-    Attributes:
-        point: The likeliest end.
-        drop: Deviance of the likeliest end less the deviance of the likeliest start.
-    """
-
-    point: Point
-    drop: float
+    point: Point  # the likeliest end
+    drop: float  # deviance of the likeliest end less the deviance of the likeliest start
     ends: tuple[End, ...]
 
     @property
@@ -316,11 +300,7 @@ def _least_squares(point: Point, step: float) -> Searched:
     """Search by least squares with the standard deviations at the start point."""
     held = point.weighted(step)
     found = levenberg.minimise(
-        held.residuals,
-        held.jacobian,
-        point.origin(),
-        threshold=HUBER_THRESHOLD,
-        tolerance=1e-4,
+        held.residuals, held.jacobian, point.origin(), threshold=HUBER_THRESHOLD, tolerance=1e-4
     )
     return Searched(point.moved(found.x), found.steps)
 
@@ -420,15 +400,10 @@ recordings, which are means over the unloaded and the loaded ones.
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """End point of one attempt to solve the unloaded fit.
+    """End point of one attempt to solve the unloaded fit."""
 
-    Attributes:
-        chi2: Chi-square of the estimating equations (M29).
-        point: Point at which the attempt ended.
-    """
-
-    chi2: float
-    point: Point
+    chi2: float  # chi-square of the estimating equations (M29)
+    point: Point  # point at which the attempt ended
 
 
 def solve_unloaded(
@@ -548,51 +523,36 @@ def _solved_from(start: Point, free: _Free) -> Solved | None:
 
 @dataclass(frozen=True)
 class Refined:
-    """A refined estimate.
-
-    Attributes:
-        covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
-        floor: Cramer-Rao bound of the covariance
-            (:mod:`identification.estimate.covariance`), shape (p, p).
-        names: Names of the fitted parameters, in the order of the covariance.
-        innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
-            is right.
-        whiteness: Correlation of neighbouring innovations, with variance inflation.
-        repeating_share: Share of the correlated noise that repeats in matching half cycles (M26);
-            zero without correlated noise.
-        torque_scatter: Torque scatter from sample to sample, N m rms.
-        evaluations: Runs of the filter over all recordings.
-        breakaways: Number of segments.
-        likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
-            start point; positive if least squares at a raised noise level left the basin of this
-            start point.
-        equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
-        joint: The estimate in the joint experiment.
-        left_out: Name to what is lacking, of recordings to which prediction errors do not apply.
-        stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
-        partial: Whether the fit ended without the joint fit, because acceptance rejects the end of
-            the unloaded or the loaded fit; statistics and ``joint`` are those of this end then, and
-            covariances are not computed.
-    """
+    """A refined estimate."""
 
     values: Mapping[str, float]
-    covariance: Array
-    floor: Array
-    names: tuple[str, ...]
+    covariance: Array  # covariance of the fitted `names`, shape (p, p), in the units of the values
+    floor: Array  # Cramer-Rao bound of the covariance, shape (p, p)
+    names: tuple[str, ...]  # names of the fitted parameters, in the order of the covariance
+    # Rms of normalised innovations with variance inflation; 1 if the noise model is right.
     innovation_rms: float
-    whiteness: float
+    whiteness: float  # correlation of neighbouring innovations, with variance inflation
     noise: Noise
+    # Share of the correlated noise that repeats in matching half cycles (M26); zero without
+    # correlated noise.
     repeating_share: float
-    torque_scatter: float
-    evaluations: int
+    torque_scatter: float  # torque scatter from sample to sample, N m rms
+    evaluations: int  # runs of the filter over all recordings
     iterations: int
-    breakaways: int
+    breakaways: int  # number of segments
+    # Deviance at the end of the loaded fit less the deviance at its likeliest start point; positive
+    # if least squares at a raised noise level left the basin of this start point.
     likelihood_drop: float
-    equations_chi2: float
-    joint: Point
+    equations_chi2: float  # chi-square of the unloaded fit's estimating equations (M29)
+    joint: Point  # the estimate in the joint experiment
     starts: tuple[Starts, ...] = ()
+    # Name to what is lacking, of recordings to which prediction errors do not apply.
     left_out: Mapping[str, str] = field(default_factory=dict)
+    # Whether the unloaded or the loaded fit reached its greatest number of filter runs.
     stopped: bool = False
+    # Whether the fit ended without the joint fit, because acceptance rejects the end of the
+    # unloaded or the loaded fit; statistics and `joint` are those of this end then, and covariances
+    # are not computed.
     partial: bool = False
 
 

@@ -33,23 +33,16 @@ from identification.prepare import Prepared, contact_moment, joint_angle, prepar
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
 from identification.simulation.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
 
-STEP_S = 2e-3
-"""Greatest integration step in a search, s; at most the sample period."""
-LEAST_SAMPLES = 20
-"""Least number of samples in a piece."""
+STEP_S = 2e-3  # greatest integration step in a search, s; at most the sample period
+LEAST_SAMPLES = 20  # least number of samples in a piece
 
 
 @dataclass(frozen=True)
 class Motor:
-    """Ratios of motor constants to the declared constants.
+    """Ratios of motor constants to the declared constants."""
 
-    Attributes:
-        torque_constant: Ratio of Km and of Ke; both are the same constant in SI units.
-        resistance: Ratio of R.
-    """
-
-    torque_constant: float = 1.0
-    resistance: float = 1.0
+    torque_constant: float = 1.0  # ratio of Km and of Ke; both are the same constant in SI units
+    resistance: float = 1.0  # ratio of R
 
     def bench(self, declared: Bench) -> Bench:
         """Return the constants of a bench with these motor constants."""
@@ -64,20 +57,13 @@ class Motor:
 
 @dataclass(frozen=True)
 class Piece:
-    """One prediction of the angle, from a measured initial state.
-
-    Attributes:
-        inputs: Inputs of the simulation, shape (n,).
-        angle: Measured angle, rad, shape (n,); the first value is the initial state.
-        velocity: Initial velocity, rad/s.
-        volts: Whether ``inputs.added`` is the motor voltage; has no effect if there is a
-            controller.
-    """
+    """One prediction of the angle, from a measured initial state."""
 
     recording: Recording
-    inputs: Inputs
-    angle: Array
-    velocity: float
+    inputs: Inputs  # inputs of the simulation, shape (n,)
+    angle: Array  # measured angle, rad, shape (n,); the first value is the initial state
+    velocity: float  # initial velocity, rad/s
+    # Whether `inputs.added` is the motor voltage; has no effect if there is a controller.
     volts: bool
 
     def predict(
@@ -196,26 +182,18 @@ RELATIVE_STD = 0.3
 deviate because of warm windings, tolerances of magnets, and torque losses in gears.
 """
 _FASTEST_SHARE, _SLOWEST_SHARE = 1.0 / 3.0, 1e-3
-_LATEST = 5.0
-"""Greatest lateness, in sample periods."""
+_LATEST = 5.0  # greatest lateness, in sample periods
 _MOST_MU, _MOST_SHARE = 0.9, 5.0
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of the signals, SI, from which bounds and steps of finite differences follow.
+    """Sizes of the signals, SI, from which bounds and steps of finite differences follow."""
 
-    Attributes:
-        torque: Greatest drive torque.
-        speed: Greatest speed.
-        inertia: Inertia at the start of the search.
-        period: Sample period.
-    """
-
-    torque: float
-    speed: float
-    inertia: float
-    period: float
+    torque: float  # greatest drive torque
+    speed: float  # greatest speed
+    inertia: float  # inertia at the start of the search
+    period: float  # sample period
 
 
 @dataclass(frozen=True)
@@ -229,34 +207,22 @@ class Axis:
 
 @dataclass(frozen=True)
 class Point:
-    """The parameters of one simulation.
+    """The parameters of one simulation."""
 
-    Attributes:
-        values: Friction and inertia by name, SI.
-        motor: Ratios of the motor constants to the declared motor constants.
-        lateness: Delay with which a logged command acts, s.
-    """
-
-    values: Mapping[str, float]
-    motor: Motor
-    lateness: float
+    values: Mapping[str, float]  # friction and inertia by name, SI
+    motor: Motor  # ratios of the motor constants to the declared motor constants
+    lateness: float  # delay with which a logged command acts, s
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The free coordinates of one friction model (rung) of the ladder.
-
-    Attributes:
-        names: Free coordinates, in the order of x.
-        axes: Bounds and step of each coordinate, by name.
-        model: Declared model; its fixed parameters do not change.
-        prior: Standard deviation of the prior of a coordinate, by name; a prior is centred at 0.
-    """
+    """The free coordinates of one friction model (rung) of the ladder."""
 
     rung: str
-    names: tuple[str, ...]
-    axes: Mapping[str, Axis]
-    model: Model
+    names: tuple[str, ...]  # free coordinates, in the order of x
+    axes: Mapping[str, Axis]  # bounds and step of each coordinate, by name
+    model: Model  # declared model; its fixed parameters do not change
+    # Standard deviation of the prior of a coordinate, by name; a prior is centred at 0.
     prior: Mapping[str, float]
 
     @property
@@ -378,20 +344,14 @@ _RIDGE = 1e-3
 
 @dataclass(frozen=True)
 class LoopFit:
-    """End of a search.
-
-    Attributes:
-        cost: Sum of the costs of data and priors.
-        ends: Cost at the end of the search from each start point.
-        threshold: Angle error up to which the cost is quadratic, rad.
-        unit: Angle error that counts as one standard deviation of an independent observation, rad.
-    """
+    """End of a search."""
 
     coordinates: Coordinates
     x: Array
-    cost: float
-    ends: tuple[float, ...]
-    threshold: float
+    cost: float  # sum of the costs of data and priors
+    ends: tuple[float, ...]  # cost at the end of the search from each start point
+    threshold: float  # angle error up to which the cost is quadratic, rad
+    # Angle error that counts as one standard deviation of an independent observation, rad.
     unit: float
 
     @property
@@ -527,8 +487,7 @@ def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Ar
 
 
 KM, RESISTANCE = CONSTANTS
-PER_VOLT = "torque_per_volt"
-"""Km i / R, N m/V: what a voltage and an angle determine well."""
+PER_VOLT = "torque_per_volt"  # Km i / R, N m/V: what a voltage and an angle determine well
 
 
 @dataclass(frozen=True)
@@ -614,41 +573,28 @@ are needed, because stick-slip makes the cost irregular, with local minima at lo
 
 @dataclass(frozen=True)
 class SimulatedRung:
-    """One friction model, fitted to the simulated angle.
+    """One friction model, fitted to the simulated angle."""
 
-    Attributes:
-        friction: Name of the rung, of :data:`identification.model.parameters.SIMULATED`.
-        free: Whether the motor constants were free within their priors.
-        alpha: Stribeck exponent.
-        fitted: Parameters by name, SI; ``lateness`` of the command, s.
-        train: Mean absolute angle error on the fitted recordings, rad (m).
-        crossed: Cross-validated error: mean absolute angle error on each third of the fitted
-            recordings, predicted with a fit to the other two thirds, rad (m). NaN for a single
-            recording; then no rung is chosen.
-        scored: Mean absolute angle error on the recordings with role ``validate``, rad (m), or None
-            without such recordings.
-        constants: Motor constants and their changes; empty if they were fixed.
-        horizon_s: Longest prediction, s.
-        best: Share of the draws in which this fit has the least error on the scored recordings.
-        chosen: Whether the fit has the least cross-validated error of all fits of equal ``free``.
-        tied: Whether the cross-validated error exceeds the least cross-validated error by no more
-            than the uncertainty of the difference.
-        ends: Cost at the end of the search from each start point.
-    """
-
-    friction: str
-    free: bool
-    alpha: float
-    fitted: Mapping[str, float]
-    train: Interval
+    friction: str  # name of the rung, of `SIMULATED`
+    free: bool  # whether the motor constants were free within their priors
+    alpha: float  # Stribeck exponent
+    fitted: Mapping[str, float]  # parameters by name, SI; `lateness` of the command, s
+    train: Interval  # mean absolute angle error on the fitted recordings, rad (m)
+    # Cross-validated error: mean absolute angle error on each third of the fitted recordings,
+    # predicted with a fit to the other two thirds, rad (m). NaN for a single recording; then no
+    # rung is chosen.
     crossed: float
+    # Mean absolute angle error on the recordings with role `validate`, rad (m), or None without
+    # such recordings.
     scored: Interval | None
-    constants: tuple[Constant, ...]
-    horizon_s: float
-    best: float
-    chosen: bool
+    constants: tuple[Constant, ...]  # motor constants and their changes; empty if they were fixed
+    horizon_s: float  # longest prediction, s
+    best: float  # share of the draws in which this fit has the least error on the scored recordings
+    chosen: bool  # whether the fit has the least cross-validated error of all fits of equal `free`
+    # Whether the cross-validated error exceeds the least cross-validated error by no more than the
+    # uncertainty of the difference.
     tied: bool
-    ends: tuple[float, ...]
+    ends: tuple[float, ...]  # cost at the end of the search from each start point
 
 
 @dataclass(frozen=True)
@@ -767,10 +713,7 @@ def _scales(prepared: Sequence[Prepared], inertia: float) -> Scales:
 
 
 def _starts(
-    problem: _Problem,
-    axes: Coordinates,
-    free: bool,
-    ends: Mapping[tuple[str, bool], LoopFit],
+    problem: _Problem, axes: Coordinates, free: bool, ends: Mapping[tuple[str, bool], LoopFit]
 ) -> list[Array]:
     """Return start points: of the equation error, and ends of contained models."""
     values = problem.values["stribeck_load_dependent" if bears_load(axes.rung) else "stribeck"]

@@ -29,10 +29,8 @@ from identification.result import Profile, Resampled
 
 REACH = (0.8, 1.6, 2.4, 3.2)
 """Distances of the points of a profile from the estimate, in standard deviations."""
-LEVEL = float(2.0 * special.gammaincinv(0.5, CONFIDENCE))
-"""Deviance at the ends of the 90 % range."""
-_GAIN = 0.003
-"""Decrease of half the deviance in a step, below which no further step is taken."""
+LEVEL = float(2.0 * special.gammaincinv(0.5, CONFIDENCE))  # deviance at the ends of the 90 % range
+_GAIN = 0.003  # decrease of half the deviance in a step, below which no further step is taken
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4
@@ -238,10 +236,8 @@ def _inverse(matrix: Array) -> Array:
     )
 
 
-_SETTLED = 0.1
-"""Step, in standard deviations, below which the equations of a draw count as solved."""
-_LONGEST = 3.0
-"""Greatest step of an iteration, in standard deviations."""
+_SETTLED = 0.1  # step, in standard deviations, below which the equations of a draw count as solved
+_LONGEST = 3.0  # greatest step of an iteration, in standard deviations
 
 
 def bootstrap(

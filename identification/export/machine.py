@@ -21,11 +21,13 @@ from identification.effects.effect import Effect
 from identification.effects.friction import initial_friction
 from identification.effects.model import COORDINATES, CorrectedModel, Curve
 from identification.effects.motor import mean_over_sample
+from identification.effects.own import MEASURED, MODELLED, OwnEffect
 from identification.export.symbols import (
     OF_ARRAYS,
     Node,
     NotCausalError,
     Symbols,
+    Written,
     apply,
     computed,
     explored,
@@ -45,6 +47,8 @@ STEP_SHARE = 0.25
 """Greatest step relative to the inertia over the steepest fall of friction, at which each step has
 one solution.
 """
+OF_ONE_SAMPLE = "its function uses what has no form in other languages, or more than one sample"
+"""Why an effect of one's own is left out."""
 STEADY_TRAVEL_RAD, STEADY_TIME_S, STEADY_STEPS = 0.2, 2.0, 200
 """Least travel and time, and number of steps, after which memories of a steady motion are used."""
 SIGNALS: Mapping[str, tuple[str, str]] = {
@@ -212,6 +216,7 @@ def machine(
     intervals: Mapping[str, tuple[float | None, float | None]],
     ranges: Mapping[str, tuple[float, float]],
     source: str = "",
+    own: bool = True,
 ) -> Machine:
     """Return the equations of a corrected model.
 
@@ -222,6 +227,7 @@ def machine(
         intervals: Name of a parameter, or ``effect.parameter``, to the ends of its interval.
         ranges: Signal to its least and greatest value in the recordings.
         source: Where the model is from, for comments.
+        own: Whether to contain effects of one's own as far as their functions allow it.
     """
     motion, quantities = bench.motion, _Quantities(intervals)
     amperes = bench.torque_constant is None
@@ -263,7 +269,7 @@ def machine(
     methods["get"] = lambda self, name: self.values.get(name, node(0.0))
     symbolic = type("Symbolic", (Nominal,), methods)
     plain = nominal = symbolic(values, (), alpha)
-    placed, left_out = [], []
+    placed, left_out, values_of = [], [], {}
     for each, given in model.effects.items():
         effect = model.catalogue[each]
         if effect.place is not None:
@@ -280,19 +286,31 @@ def machine(
         }
         shape, coefficients = symbols.function(type(effect).at)(effect, inner, plain)
         placed.append((effect, shape, coefficients))
+        values_of[each] = inner
     for effect, shape, coefficients in placed:
         feeds_back = symbols.function(type(effect).feeds_back)
         nominal = feeds_back(effect, nominal, shape, coefficients)
     responses: dict[str, list[Node]] = {}
     for effect, shape, coefficients in placed:
         nominal, shape = symbols.function(type(effect).begin)(effect, nominal, shape)
+        added: Mapping[str, Node] = {}
+        reason = effect.not_simulated
         try:
-            added = _added(symbols, effect, s, nominal, shape, coefficients)
+            if not isinstance(effect, OwnEffect):
+                added = _added(symbols, effect, s, nominal, shape, coefficients)
+            elif own:
+                added = _own(symbols, effect, s, nominal, values_of[effect.name])
+            else:
+                reason = OF_ONE_SAMPLE
         except NotCausalError:
-            added = {}
-        if effect.not_simulated or not added:
+            pass
+        except Exception as error:
+            if not isinstance(effect, OwnEffect):
+                raise
+            reason = f"{OF_ONE_SAMPLE} ({type(error).__name__}: {error})"
+        if reason or not added:
             given = model.effects[effect.name]
-            left_out.append(LeftOut(effect.name, given, effect.not_simulated, whole=not added))
+            left_out.append(LeftOut(effect.name, given, reason, whole=not added))
         for equation, value in added.items():
             responses.setdefault(equation, []).append(value)
 
@@ -352,6 +370,52 @@ def _added(
         added = total(c * r for c, r in zip(map(node, coefficients), rows, strict=True))
         out["drive" if equation == "torque" and effect.on_drive else equation] = added
     return out
+
+
+def _own(
+    symbols: Symbols, effect: OwnEffect, s: _Signals, nominal: Any, values: Mapping[str, Node]
+) -> Mapping[str, Node]:
+    """Return what an effect of one's own adds to each equation: its function, called with symbols;
+    its states are memories.
+    """
+    seen, p, out = _Seen(s, nominal), SimpleNamespace(**values), {}
+    used = explored(lambda: [node(getattr(seen, name)) for name in sorted(effect.used)])
+    for equation, call, _ in effect.functions.values():
+        function = symbols.function(call)
+        own = node(0.0, "key", (*values.values(), *used), f"{effect.name}_{equation}")
+        names = [f"{effect.name}_{k}" for k in range(effect.states)]
+        kept = [memory(name, node(0.0, "key", (own,), name)) for name in names]
+
+        def sample(states: list[Any], f: Any = function) -> list[Node]:
+            x = Written(states)
+            found = f(seen, x, STEP, p) if states else f(seen, p)
+            return [node(found), *map(node, x)]
+
+        (at_first, *starts), (later, *updates) = (
+            explored(lambda x=x: sample(x))  # type: ignore[misc]
+            for x in ([0.0] * effect.states, kept)
+        )
+        for each, start, update in zip(kept, starts, updates, strict=True):
+            each.update = symbols.started(start, update)
+        out[equation] = symbols.started(at_first, later)
+    if "breakaway" in out:
+        out.setdefault("torque", out.pop("breakaway"))
+        out.pop("breakaway", None)
+    return out
+
+
+class _Seen:
+    """Symbols by the names that a function of one's own uses."""
+
+    def __init__(self, view: _Signals, nominal: Any) -> None:
+        self.view, self.nominal = view, nominal
+
+    def __getattr__(self, name: str) -> Any:
+        if name in MODELLED:
+            return getattr(self.nominal, MODELLED[name])(self.view)
+        if getattr(self.view, MEASURED[name]) is None:
+            raise AttributeError(f"a simulation has no signal {name}")
+        return getattr(self.view, MEASURED[name])
 
 
 def _carried(curve: Curve | None, equation: str, s: _Signals) -> Sequence[Node]:

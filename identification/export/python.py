@@ -384,6 +384,8 @@ class _Source:
             if name not in self.texts:
                 self._use(plain)
                 self._put(name, _DECORATORS.sub("", inspect.getsource(plain)))
+        elif isinstance(used, np.ndarray):
+            self._put(name, f"{name} = np.array({used.tolist()!r})\n")
         elif isinstance(used, ModuleType):
             self._put(name, f"import {used.__name__} as {name}\n")
         elif callable(used) and module and module != function.__module__:
@@ -391,8 +393,8 @@ class _Source:
         else:
             raise ValueError(
                 f"{function.__code__.co_filename}: {function.__name__} uses {name}, which is a "
-                f"{type(used).__name__}; the exported file can contain functions, numbers, texts "
-                "and tuples"
+                f"{type(used).__name__}; the exported file can contain functions, numbers, texts, "
+                "tuples and arrays"
             )
 
 

@@ -342,7 +342,7 @@ def _function(operation: str) -> Callable[..., Any]:
     return lambda *given, **_: apply(operation, *given)
 
 
-class _Written(Rows):
+class Written(Rows):
     """Arrays that a function fills; the samples of one array have one place."""
 
     def __setitem__(self, index: Any, value: Any) -> None:
@@ -353,6 +353,10 @@ class _Written(Rows):
 NUMPY = SimpleNamespace(
     **{n: _function(n) for n in ("abs", "sign", "exp", "expm1", "sin", "cos", "tanh", "sqrt")},
     arctanh=_function("atanh"),
+    **{n: _function("abs") for n in ("absolute", "fabs")},
+    copysign=lambda a, b: apply("*", apply("choose", apply("<", b, 0.0), -1.0, 1.0), abs(a)),
+    power=_function("power"),
+    square=lambda a: a * a,
     maximum=_function("max"),
     minimum=_function("min"),
     multiply=_function("*"),
@@ -367,8 +371,8 @@ NUMPY = SimpleNamespace(
     ones=lambda _: node(1.0),
     zeros=lambda shape: Rows([0.0] * shape[0]) if isinstance(shape, tuple) else node(0.0),
     full=lambda _, value: node(value),
-    empty=lambda shape: _Written([0.0] * shape[0]),
-    empty_like=lambda _: _Written([0.0]),
+    empty=lambda shape: Written([0.0] * shape[0]),
+    empty_like=lambda _: Written([0.0]),
     mean=lambda _: node(0.0),
     pi=math.pi,
     inf=math.inf,
@@ -445,9 +449,12 @@ class Symbols:
     def _fill(self, scope: dict[str, Any], code: CodeType, known: Mapping[str, Any]) -> None:
         for name in _names(code) & known.keys():
             value = known[name]
-            own = getattr(value, "__module__", "").startswith("identification.")
+            module = getattr(value, "__module__", None) or ""
+            own = module.startswith("identification.") or module == known.get("__name__")
             if value is np or value is math:
                 value = self._replaced[value]
+            elif module in ("math", "numpy"):  # from math import exp
+                value = getattr(self._replaced[np], value.__name__, value)
             elif own and callable(value) and not inspect.isclass(value):
                 value = self.function(value)
             scope[name] = value

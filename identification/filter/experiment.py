@@ -38,21 +38,15 @@ from identification.recording import Model
 COST_OF_SENSITIVITIES = 3
 """Filter runs as which one run with sensitivities counts, by its computing time."""
 
-_Place = tuple[bytes, tuple[bytes, ...], Noise]
-"""Parameters, breakaway times and noise of a run."""
+_Place = tuple[bytes, tuple[bytes, ...], Noise]  # parameters, breakaway times and noise of a run
 
 
 @dataclass(frozen=True, eq=False)
 class Lineup:
-    """Motion segments in the order in which the filter processes them, the longest first.
+    """Motion segments in the order in which the filter processes them, the longest first."""
 
-    Attributes:
-        table: Table of segments, shape (m, 7).
-        order: Number of each of these segments in the experiment, shape (m,).
-    """
-
-    table: Array
-    order: NDArray[np.int64]
+    table: Array  # table of segments, shape (m, 7)
+    order: NDArray[np.int64]  # number of each of these segments in the experiment, shape (m,)
 
     @classmethod
     def of(cls, table: Array) -> Lineup:
@@ -73,29 +67,19 @@ class Lineup:
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """The first samples of every segment, which are all samples that the segment's breakaway time
-    affects.
+    """The first samples of every segment: all that the segment's breakaway time affects."""
 
-    Attributes:
-        lineup: Segments that end after these samples.
-        rows: Numbers of the innovations of these first samples, shape (q,).
-    """
-
-    lineup: Lineup
-    rows: NDArray[np.int64]
+    lineup: Lineup  # segments that end after these samples
+    rows: NDArray[np.int64]  # numbers of the innovations of these first samples, shape (q,)
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Recordings that are fitted together; m segments, r residuals.
+    """Recordings that are fitted together; m segments, r residuals."""
 
-    Attributes:
-        motions: Recordings with their segments.
-        statics: Static levels that are not fitted, each as index of the Coulomb level, index of the
-            rise, and value.
-    """
-
-    motions: tuple[Motion, ...]
+    motions: tuple[Motion, ...]  # recordings with their segments
+    # Static levels that are not fitted, each as index of the Coulomb level, index of the rise, and
+    # value.
     statics: tuple[tuple[int, int, float], ...] = ()
 
     @classmethod
@@ -187,13 +171,11 @@ class Filter:
 
     Args:
         experiment: The recordings.
-
-    Attributes:
-        evaluations: Number of filter runs so far; a repetition of the last run does not count.
     """
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
+        # Number of filter runs so far; a repetition of the last run does not count.
         self.evaluations = 0
         self._last: tuple[_Place, tuple[Array, Array]] | None = None
         self._slopes: tuple[_Place, Array, tuple[Array, Array]] | None = None

@@ -46,10 +46,8 @@ N m; number of integration steps; variance that is added to the variance of the 
 SAMPLE_COLUMNS = UNSURE + 1
 
 
-LANES = 32
-"""Length of a row: the greatest number of segments that are computed side by side."""
-AT_ONCE = 8
-"""Lanes of the widest processor instruction; loops run over a multiple of them."""
+LANES = 32  # length of a row: the greatest number of segments that are computed side by side
+AT_ONCE = 8  # lanes of the widest processor instruction; loops run over a multiple of them
 L_ANGLE, L_OMEGA, L_P11, L_P12, L_P22, L_HIDDEN, L_P13, L_P23, L_P33 = (LANES * k for k in range(9))
 """Places of the state: angle, rad, and speed, rad/s; their covariance; the correlated torque noise,
 N m, its covariances with angle and speed, and its variance.
@@ -358,14 +356,12 @@ def innovations(
 
 START = OFFSET + 1
 """Column of the directions for the breakaway time; the columns before are the parameters."""
-SEEDS = START + 1
-"""Number of columns of the directions."""
+SEEDS = START + 1  # number of columns of the directions
 T_ANGLE, T_OMEGA, T_P11, T_P12, T_P22, T_HIDDEN, T_P13, T_P23, T_P33 = (LANES * k for k in range(9))
 """Places of the derivatives of the state in one direction."""
 _T_DH, _T_DB, _T_DC, _T_DG = (LANES * k for k in range(9, 13))
 """Places of the derivatives of h, b, c and growth of one step, for the correlated noise."""
-TANGENTS = 13 * LANES
-"""Length of the array of one direction."""
+TANGENTS = 13 * LANES  # length of the array of one direction
 _FRICTION = 15
 _SLOW, _PUSH, _C, _HALF_J, _HALF_G, _C_J, _C_HALF, _GROWTH_HALF, _MOVING, _H, _PATH = (
     LANES * (_FRICTION + k) for k in range(11)

@@ -83,10 +83,8 @@ _GREATEST_CHANGE = 10.0
 """Greatest change of a residual, in standard deviations, or of the logarithm of its standard
 deviation, over one step of a finite difference.
 """
-_TIE_STEP_S = 1e-6
-"""Step of a breakaway time for the slope of the torque at the breakaway."""
-_UNFELT = 1e-6
-"""Change of a residual below which a shift of the breakaway has no effect on it."""
+_TIE_STEP_S = 1e-6  # step of a breakaway time for the slope of the torque at the breakaway
+_UNFELT = 1e-6  # change of a residual below which a shift of the breakaway has no effect on it
 _LEAST_SAMPLES = 40
 """Least samples of a segment over which the filter is run for other breakaway times."""
 _LEAST_GAIN = 0.5
@@ -99,22 +97,14 @@ class Point:
 
     A free vector ``x`` has the coordinates of the free parameters first, then the breakaway times
     of all segments. A point is immutable; a search returns another point.
-
-    Attributes:
-        filter: The experiment's filter, which all points of the experiment share.
-        vector: Parameters, vector of :mod:`identification.model.parameters`.
-        free: Indices of the free parameters in that vector.
-        noise: Noise of torque and angle.
-        breakaway_times: Breakaway times, s, one array per recording.
-        inflation: Factor on the standard deviations of each segment (M13), shape (m,).
     """
 
-    filter: Filter
-    vector: Array
-    free: tuple[int, ...]
-    noise: Noise
-    breakaway_times: tuple[Array, ...]
-    inflation: Array
+    filter: Filter  # the experiment's filter, which all points of the experiment share
+    vector: Array  # parameters, vector of `parameters`
+    free: tuple[int, ...]  # indices of the free parameters in that vector
+    noise: Noise  # noise of torque and angle
+    breakaway_times: tuple[Array, ...]  # breakaway times, s, one array per recording
+    inflation: Array  # factor on the standard deviations of each segment (M13), shape (m,)
 
     @classmethod
     def of(
@@ -297,17 +287,11 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals near a point: prediction errors and ties, divided by their standard deviations at
-    the point.
-
-    Attributes:
-        deviations: Standard deviations of the residuals at the point, constant, shape (r,).
-        step: Relative step of a coordinate for finite differences.
-    """
+    """Residuals near a point: prediction errors and ties over their standard deviations there."""
 
     point: Point
-    deviations: Array
-    step: float = PARAMETER_STEP
+    deviations: Array  # standard deviations of the residuals at the point, constant, shape (r,)
+    step: float = PARAMETER_STEP  # relative step of a coordinate for finite differences
 
     def residuals(self, x: Array) -> Array:
         """Return :meth:`Point.predictions` over constant standard deviations, (r,)."""
@@ -372,21 +356,15 @@ class NearBreakaways:
 
     The breakaway time affects some hundred samples after the breakaway; a segment may have
     thousands of samples.
-
-    Attributes:
-        heads: Samples that the breakaway times affect.
-        rows: Numbers of the affected residuals, innovations first and then ties, shape (q,).
-        here: Affected residuals at the breakaway times of the point, shape (q,).
-        owners: Number of the segment of each affected residual, shape (q,).
-        deviations: Standard deviation of each affected residual, constant, shape (q,).
     """
 
     point: Point
-    heads: Heads
+    heads: Heads  # samples that the breakaway times affect
+    # Numbers of the affected residuals, innovations first and then ties, shape (q,).
     rows: NDArray[np.int64]
-    here: Array
-    owners: NDArray[np.int64]
-    deviations: Array
+    here: Array  # affected residuals at the breakaway times of the point, shape (q,)
+    owners: NDArray[np.int64]  # number of the segment of each affected residual, shape (q,)
+    deviations: Array  # standard deviation of each affected residual, constant, shape (q,)
 
     def residuals(self, x: Array) -> Array:
         """Return the affected residuals at a free vector, shape (q,)."""
@@ -410,29 +388,19 @@ class Searched(NamedTuple):
     iterations: int
 
 
-ROUNDS = 4
-"""Greatest number of Gauss-Newton steps for a breakaway time."""
+ROUNDS = 4  # greatest number of Gauss-Newton steps for a breakaway time
 LONGEST_STEP_MS = 2.0
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of some recordings with the breakaway times eliminated; p parameters, m
-    segments.
+    """Normal equations of some recordings without breakaway times; p parameters, m segments."""
 
-    Attributes:
-        normal: Fisher information of the residuals (unit variance), shape (p, p).
-        scores: Gradient of half the sum of squares of each segment's residuals, shape (m, p).
-        squares: Sum of squared residuals.
-        neighbours: Sum of products of neighbouring residuals.
-        count: Number of residuals.
-    """
-
-    normal: Array
-    scores: Array
-    squares: float
-    neighbours: float
-    count: int
+    normal: Array  # Fisher information of the residuals (unit variance), shape (p, p)
+    scores: Array  # gradient of half the sum of squares of each segment's residuals, shape (m, p)
+    squares: float  # sum of squared residuals
+    neighbours: float  # sum of products of neighbouring residuals
+    count: int  # number of residuals
 
 
 def optimise_breakaway_times(
@@ -522,9 +490,7 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 
 
 def likeliest_noise(point: Point) -> Noise:
-    """Return the noise levels of least deviance at a point, with a correlated part if the noise of
-    the point has one.
-    """
+    """Return a point's noise levels of least deviance, with a correlated part if it has one."""
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
     simplex, most = np.array(_SIMPLEX), _MOST

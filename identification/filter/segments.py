@@ -14,66 +14,42 @@ from identification.prepare import contact_moment, drive_torque, evened, joint_a
 from identification.recording import Recording
 from identification.signals import quantum
 
-LEAD = 12
-"""Number of samples by which a segment starts before its first visible motion."""
-TAIL = 20
-"""Samples by which a segment ends before a rest: the filter does not know of the stop."""
-LEAST_COUNTS = 20.0
-"""Least travel of a segment, in encoder steps."""
-FINE_STEPS = 8.0
-"""Integration steps per sample near rest, where friction falls steeply."""
-STEPS = 4.0
-"""Integration steps per sample: a slow sine may stay on the falling branch of friction."""
-ONSET_STEPS = 32.0
-"""Integration steps per sample after a breakaway, where friction falls fast."""
+LEAD = 12  # number of samples by which a segment starts before its first visible motion
+TAIL = 20  # samples by which a segment ends before a rest: the filter does not know of the stop
+LEAST_COUNTS = 20.0  # least travel of a segment, in encoder steps
+FINE_STEPS = 8.0  # integration steps per sample near rest, where friction falls steeply
+STEPS = 4.0  # integration steps per sample: a slow sine may stay on the falling branch of friction
+ONSET_STEPS = 32.0  # integration steps per sample after a breakaway, where friction falls fast
 FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is averaged."""
-LEAST_RISE = 0.1
-"""Least rate of rise of the torque over the recording's median; less is noise."""
-STALLED = 0.01
-"""Share of the greatest speed below which a segment counts as almost stopping."""
+LEAST_RISE = 0.1  # least rate of rise of the torque over the recording's median; less is noise
+STALLED = 0.01  # share of the greatest speed below which a segment counts as almost stopping
 UNSURE = 0.1
 """Standard deviation, relative to the greatest speed, whose square is added to the variance of the
 speed where a segment almost stops.
 """
-ALIKE = 0.1
-"""Greatest difference of matching half cycles over the longer displacement (M11)."""
-INSTANTS = 64
-"""Number of instants at which half cycles are compared."""
+ALIKE = 0.1  # greatest difference of matching half cycles over the longer displacement (M11)
+INSTANTS = 64  # number of instants at which half cycles are compared
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A recording prepared for the filter. Arrays have shape (n,), at the joint, SI.
-
-    Attributes:
-        angle: Angle as the encoder measured it, rad.
-        torque: Mean torque over the period that ends at each sample, N m.
-        slope: Rate of change of the torque within that period, N m/s.
-        moment: Mean contact moment F_P L1 over that period, N m.
-        table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.kalman`.
-        seen: First sample of visible motion of each segment, shape (m,).
-        steps: Number of integration steps in the period that ends at each sample.
-        unsure: Variance that is added to the variance of the speed at each sample, (rad/s)^2.
-        inside: Whether a sample is inside a segment.
-        extra_inertia: Known inertia added to J, kg m^2.
-        angle_variance: Variance of the quantisation error of the angle, rad^2.
-    """
+    """A recording prepared for the filter. Arrays have shape (n,), at the joint, SI."""
 
     recording: Recording
     time: Array
-    angle: Array
-    torque: Array
-    slope: Array
-    moment: Array
-    table: Array
-    seen: Array
-    steps: Array
-    unsure: Array
-    inside: BoolArray
-    extra_inertia: float
-    angle_variance: float
+    angle: Array  # angle as the encoder measured it, rad
+    torque: Array  # mean torque over the period that ends at each sample, N m
+    slope: Array  # rate of change of the torque within that period, N m/s
+    moment: Array  # mean contact moment F_P L1 over that period, N m
+    table: Array  # motion segments, shape (m, 4); columns of `kalman`
+    seen: Array  # first sample of visible motion of each segment, shape (m,)
+    steps: Array  # number of integration steps in the period that ends at each sample
+    unsure: Array  # variance that is added to the variance of the speed at each sample, (rad/s)^2
+    inside: BoolArray  # whether a sample is inside a segment
+    extra_inertia: float  # known inertia added to J, kg m^2
+    angle_variance: float  # variance of the quantisation error of the angle, rad^2
 
     def torque_at(self, when: Array) -> Array:
         """Return the torque, interpolated between centres of averaging periods, N m."""
@@ -276,20 +252,14 @@ def _reverses(angle: Array, side: float, step: float) -> bool:
 
 @dataclass(frozen=True)
 class Noise:
-    """Levels of the white and correlated noise of the measured torque, and of the noise of the
-    angle.
+    """Levels of white and correlated noise of the measured torque, and of the angle's noise."""
 
-    Attributes:
-        torque: White part of the torque noise, N m rms over a period.
-        angle: Noise of the angle in addition to the quantisation error of the encoder, rad rms.
-        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero for
-            white noise.
-        correlation_s: Time over which the autocorrelation of the correlated part falls to 1/e, s.
-    """
-
-    torque: float
+    torque: float  # white part of the torque noise, N m rms over a period
+    # Noise of the angle in addition to the quantisation error of the encoder, rad rms.
     angle: float = 0.0
+    # Correlated part of the torque noise, a first-order process, N m rms; zero for white noise.
     correlated: float = 0.0
+    # Time over which the autocorrelation of the correlated part falls to 1/e, s.
     correlation_s: float = 0.0
 
     @property

@@ -24,7 +24,7 @@ from identification.design.simulated import (
 )
 from identification.diagnosis import diagnose as diagnosis
 from identification.diagnosis.result import Diagnosis
-from identification.effects import EFFECTS
+from identification.effects import EFFECTS, with_own
 from identification.effects.effect import Effect as CatalogueEffect
 from identification.effects.model import CorrectedModel
 from identification.effects.own import OwnEffect
@@ -34,10 +34,10 @@ from identification.estimate.default import identify_any_length
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress
 from identification.recording import Dataset, Model, Recording, RecordingError
-from identification.result import Identification
+from identification.result import HEADLINES, Identification
 
 Source = Dataset | Recording | Iterable[Recording]
-Result = Identification | Diagnosis | CorrectedModel | Mapping[str, float]
+Result = Identification | Diagnosis | CorrectedModel | Mapping[str, Any]
 Seed = int | np.random.Generator | None
 """What :func:`numpy.random.default_rng` takes: a seed, a generator, or None for other draws in each
 call.
@@ -84,7 +84,7 @@ def identify(
     >>> {name: round(value, 2) for name, value in found.values.items()}
     {'Mc': 2.0, 'sigma_2': 0.5, 'J': 0.3}
     """
-    return identify_any_length(
+    found = identify_any_length(
         dataset_of(source, model),
         bandwidth_Hz=bandwidth_Hz,
         rng=np.random.default_rng(rng),
@@ -92,6 +92,10 @@ def identify(
         profile=profile,
         draws=draws,
     )
+    if not found.misfit:
+        return found
+    first = f"{HEADLINES[found.misfit[0]]}: {found.misfit_words}"
+    return replace(found, warnings=(first, *found.warnings))
 
 
 def diagnose(
@@ -139,6 +143,7 @@ def simulate(
     *,
     values: Mapping[str, float] | None = None,
     given: Given | None = None,
+    effects: Sequence[Effect] = (),
     draws: int = 100,
     rng: Seed = None,
 ) -> Simulation:
@@ -148,13 +153,14 @@ def simulate(
     position loop that follows a command, ``Recording(t, torque=u)`` a joint that a torque drives.
 
     Args:
-        result: Result of :func:`identify` or :func:`diagnose`, a corrected model, or parameters by
-            name, SI, those of effects as ``effect.name``.
+        result: Result of :func:`identify` or :func:`diagnose`, a corrected model, parameters by
+            name, SI, those of effects as ``effect.name``, or the content of a ``model.yaml``.
         recording: What is given to the model, and its loads.
         values: Other values of some parameters: ``{"J": 0.3}`` for another inertia.
         given: ``command``: the position loop is simulated; ``torque``: the joint is driven by the
             recorded torque or current; ``motion``: the torque that the recorded motion requires.
             None for the first that the recording has, a torque only without a motion.
+        effects: Effects of one's own that parameters by name, or a file, contain.
         draws: Number of parameter sets from which the band is made.
         rng: Seed or generator of these sets.
 
@@ -170,7 +176,7 @@ def simulate(
     >>> bool(light.velocity[-1] > heavy.velocity[-1] > 0.0)
     True
     """
-    fitted = fitted_of(result)
+    fitted = fitted_of(result, effects)
     if values:
         fitted = fitted.changed(values)
     return predict(fitted, recording, given, draws=draws, rng=np.random.default_rng(rng))
@@ -257,11 +263,16 @@ def dataset_of(source: Source, model: Model | None = None) -> Dataset:
     return Dataset(recordings, model or whole.model, whole.tables)
 
 
-def fitted_of(result: Result) -> Fitted:
+def fitted_of(result: Result, own: Sequence[Effect] = ()) -> Fitted:
     """Return a result as a model with what is known of its errors.
 
+    Args:
+        result: As in :func:`simulate`.
+        own: Effects of one's own that parameters by name, or a file, contain.
+
     Raises:
-        RecordingError: The result has no model of a motion.
+        RecordingError: The result has no model of a motion, or an effect is unknown or lacks a
+            parameter.
     """
     if isinstance(result, Identification):
         model = CorrectedModel(result.fitted, result.alpha)
@@ -290,9 +301,28 @@ def fitted_of(result: Result) -> Fitted:
     if isinstance(result, CorrectedModel):
         return Fitted(result)
     effects: dict[str, dict[str, float]] = {}
-    for name, value in result.items():
-        effect, dot, own = name.partition(".")
-        if dot and effect not in EFFECTS:
-            raise RecordingError(f"{effect!r} is no effect of the catalogue")
-        effects.setdefault(effect if dot else "", {})[own if dot else name] = float(value)
-    return Fitted(CorrectedModel(effects.pop("", {}), effects=effects))
+    for name, value in _by_name(result).items():
+        effect, dot, parameter = name.partition(".")
+        effects.setdefault(effect if dot else "", {})[parameter if dot else name] = value
+    nominal, known = effects.pop("", {}), with_own(own)
+    for name, given in effects.items():
+        if name not in known:
+            raise RecordingError(
+                f"{name!r} is no effect of the catalogue; give an effect of your own as "
+                "effects=[...]"
+            )
+        if lacking := [q.name for q in known[name].parameters if q.name not in given]:
+            raise RecordingError(f"{name} lacks {', '.join(lacking)}")
+    alpha = nominal.pop("alpha", 2.0)
+    return Fitted(CorrectedModel(nominal, alpha, effects, catalogue=known))
+
+
+def _by_name(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return parameters by name, those of effects as ``effect.name``; also of a file, in which they
+    are in groups and may have units and intervals.
+    """
+    if "parameters" in given:
+        effects = given.get("effects") or {}
+        found = {f"{e}.{n}": value for e, own in effects.items() for n, value in own.items()}
+        given = {"alpha": given.get("alpha", 2.0), **given["parameters"], **found}
+    return {n: float(v["value"] if isinstance(v, Mapping) else v) for n, v in given.items()}

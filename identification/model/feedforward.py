@@ -34,23 +34,17 @@ DELAY_CYCLES = 2.0
 """Delay in control cycles, from the middle of the interval over which the speed is measured to the
 middle of the interval in which the torque acts.
 """
-LAG_RAD = math.pi / 4.0
-"""Phase lag of the open loop due to the delay, at the crossover."""
+LAG_RAD = math.pi / 4.0  # phase lag of the open loop due to the delay, at the crossover
 DELTA_RAD = math.pi / 18.0
 """Phase lag delta of the open loop due to the stiffness, at the crossover."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Stiffness and damping that a host adds at the joint.
+    """Stiffness and damping that a host adds at the joint."""
 
-    Attributes:
-        stiffness: K, N m/rad.
-        damping: D, N m s/rad.
-    """
-
-    stiffness: float
-    damping: float
+    stiffness: float  # K, N m/rad
+    damping: float  # D, N m s/rad
 
 
 def gains(inertia: float, period: float) -> Gains:
@@ -62,9 +56,7 @@ def gains(inertia: float, period: float) -> Gains:
 
 
 SMOOTHING_RAD_S = 1e-3
-"""Commanded speed over which the sign of friction changes smoothly; an encoder does not resolve
-this speed in one cycle.
-"""
+"""Commanded speed over which friction changes sign smoothly; no encoder resolves it in a cycle."""
 RISE_SHARE = 0.4
 """Share of the rise from Coulomb to static friction that the mean torque with pulses contains; with
 a smaller share the joint stops between pulses.
@@ -75,9 +67,7 @@ PULSE = (1.0, -0.5, -0.5)
 A pulse after which the joint comes to rest takes at least three control cycles.
 """
 _PULSE_SPEEDS = 2.0
-"""Speed to which a pulse accelerates the inertia without friction, relative to the speed up to
-which friction falls.
-"""
+"""Speed that a pulse gives the inertia without friction, over that up to which friction falls."""
 _PULSE_END = 1.5
 """Commanded speed at which pulses fade, relative to the speed up to which friction falls."""
 _GRID_POINTS = 2000
@@ -86,9 +76,7 @@ _GRID_SPAN = 4.0
 
 
 def commanded_speed(angle: Array, period: float) -> Array:
-    """Return the speed at which each commanded angle is approached from the previous angle, rad/s,
-    shape (n,).
-    """
+    """Return the speed at which each commanded angle is approached, rad/s, shape (n,)."""
     return np.diff(angle, prepend=angle[:1]) / period
 
 

@@ -34,12 +34,9 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import exponential, inlined
 
-Law = tuple[float, ...]
-"""The first parameters of the vector, up to ``ALPHA``, as a tuple."""
+Law = tuple[float, ...]  # the first parameters of the vector, up to `ALPHA`, as a tuple
 NEGLIGIBLE = 37.0
-"""Exponent beyond which the falling part of friction is neglected; exp(-37) is below the rounding
-error of the other parts.
-"""
+"""Exponent beyond which falling friction is neglected: exp(-37) is below the rounding error."""
 LEAST_OMEGA = 1e-100
 """Stribeck speed in place of zero, rad/s; with this value the falling part is zero at any speed."""
 

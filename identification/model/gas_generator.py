@@ -14,19 +14,12 @@ from identification.numerics.compiled import compiled
 
 @dataclass(frozen=True)
 class ValveGeometry:
-    """Dimensions of Fig. 3, m.
+    """Dimensions of Fig. 3, m."""
 
-    Attributes:
-        d: Diameter of the hole in the plate, the least throat.
-        D: Diameter of the opening, the greatest throat.
-        b: Width of the plate.
-        L1: Radius on which the hole swings.
-    """
-
-    d: float = 0.025
-    D: float = 0.040
-    b: float = 0.054
-    L1: float = 0.095
+    d: float = 0.025  # diameter of the hole in the plate, the least throat
+    D: float = 0.040  # diameter of the opening, the greatest throat
+    b: float = 0.054  # width of the plate
+    L1: float = 0.095  # radius on which the hole swings
 
     def __post_init__(self) -> None:
         """Check the dimensions."""
@@ -59,8 +52,7 @@ class ValveGeometry:
         return math.asin(reach) if reach <= 1.0 else math.inf
 
 
-PAPER = ValveGeometry()
-"""Dimensions that the paper gives."""
+PAPER = ValveGeometry()  # dimensions that the paper gives
 
 
 def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
@@ -125,18 +117,14 @@ REFERENCE_PRESSURE = 1e6
 """Unit of the pressure in r = a p^n, Pa: the burning coefficient a belongs to p in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
-"""Greatest integration step, as a share of the time in which the outflow would empty the
-chamber.
-"""
+"""Greatest integration step, as a share of the time in which the outflow empties the chamber."""
 
 
 @compiled
 def rates(
     y: float, w: float, z: float, t: float, area: float, c: Array, e: Array
 ) -> tuple[float, float, float]:
-    """Return the time derivatives of ln p, w and ln s at ``t`` s of burning with an effective
-    throat of ``area`` m^2.
-    """
+    """Return the time derivatives of ln p, w and ln s at ``t`` s, with a throat of ``area`` m^2."""
     root = math.exp(0.5 * z) if z != 0.0 else 1.0
     s = root * root
     taper = e[TAPER]
@@ -208,13 +196,11 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
         out[0, k], out[1, k], out[2, k] = p, w, p * y1
 
 
-NOTHING = np.zeros(MISSING_SIZE)
-"""Vector of effects in which all effects are absent."""
+NOTHING = np.zeros(MISSING_SIZE)  # vector of effects in which all effects are absent
 
 
 _MOST_STEPS = 60
-LAYER_STEP = 2.5e-4
-"""Thickness of a deposit over which the throat area is differentiated, m."""
+LAYER_STEP = 2.5e-4  # thickness of a deposit over which the throat area is differentiated, m
 
 
 @dataclass(frozen=True)
@@ -223,28 +209,17 @@ class GasGenerator:
 
     The paper gives the defaults of the first four constants and of the valve; the other defaults
     are assumptions.
-
-    Attributes:
-        rho_b: Density of the propellant, kg/m^3.
-        D_P: Diameter of the end-burning grain, m; A_b = pi D_P^2/4.
-        a: Burning coefficient, m/s at 1 MPa: r = a (p_g / 1 MPa)^n.
-        n: Pressure exponent.
-        C_r: Characteristic velocity, m/s.
-        gamma: Specific-heat ratio of the gas; it determines R_g T_g from C_r.
-        V_0: Free volume at ignition, m^3.
-        p_c0: Pressure downstream of the valve, Pa (eq. 10).
-        valve: Dimensions of Fig. 3.
     """
 
-    rho_b: float = 1630.0
-    D_P: float = 0.350
-    a: float = 6.3e-3
-    n: float = 0.53
-    C_r: float = 1000.0
-    gamma: float = 1.25
-    V_0: float = 0.010
-    p_c0: float = 0.5e6
-    valve: ValveGeometry = field(default_factory=ValveGeometry)
+    rho_b: float = 1630.0  # density of the propellant, kg/m^3
+    D_P: float = 0.350  # diameter of the end-burning grain, m; A_b = pi D_P^2/4
+    a: float = 6.3e-3  # burning coefficient, m/s at 1 MPa: r = a (p_g / 1 MPa)^n
+    n: float = 0.53  # pressure exponent
+    C_r: float = 1000.0  # characteristic velocity, m/s
+    gamma: float = 1.25  # specific-heat ratio of the gas; it determines R_g T_g from C_r
+    V_0: float = 0.010  # free volume at ignition, m^3
+    p_c0: float = 0.5e6  # pressure downstream of the valve, Pa (eq. 10)
+    valve: ValveGeometry = field(default_factory=ValveGeometry)  # dimensions of Fig. 3
 
     def __post_init__(self) -> None:
         """Check the constants, and that combustion is stable."""
@@ -328,10 +303,7 @@ def constants(
     RT = (g.Gamma * C_r) ** 2
     c = np.zeros(CONSTANTS_SIZE)
     c[DENSITY], c[BURNING_AREA] = g.rho_b, g.A_b
-    c[BURNING_COEFFICIENT], c[EXPONENT] = (
-        corrected.get("a", g.a),
-        corrected.get("n", g.n),
-    )
+    c[BURNING_COEFFICIENT], c[EXPONENT] = (corrected.get("a", g.a), corrected.get("n", g.n))
     c[VELOCITY], c[ENERGY] = C_r, RT
     c[ENTHALPY] = g.gamma / (g.gamma - 1.0) * RT
     c[EXACT] = 1.0 if exact else 0.0

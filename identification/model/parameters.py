@@ -59,9 +59,7 @@ def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
 
 
 def parameter_unit(motion: str, name: str, unit: str, amperes: bool = False) -> str:
-    """Return the unit of an effect's parameter on a bench; phases are in rad on linear benches
-    too.
-    """
+    """Return an effect parameter's unit on a bench; phases are in rad on linear benches too."""
     return unit if unit == "rad" and name.startswith(PHASES) else unit_on(motion, unit, amperes)
 
 
@@ -90,17 +88,13 @@ LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
 GEAR_PARAMETERS = ("mu_gc", "mu_gs")
 """Parameters that the unloaded fit determines if friction grows with a pendulum's torque."""
 DRIVE_SHARE = "mu_gd"
-"""Weight of the drive's torque in the transmitted load, relative to the weight of the external
-torque.
-"""
+"""Weight of the drive's torque in the transmitted load, over that of the external torque."""
 STRIBECK_TERMS = (
     ("Mc", "Ms", "omega_sf"),
     ("mu_c", "mu_s", "omega_sL"),
     ("mu_gc", "mu_gs", "omega_sf"),
 )
-"""Coulomb level, static level and Stribeck speed of each part of friction that may rise as the
-speed falls to zero.
-"""
+"""Coulomb level, static level and Stribeck speed of each part of friction that may rise."""
 
 UNITS_ROTARY: Mapping[str, str] = {
     "J": "kg m^2",
@@ -137,9 +131,7 @@ INDEX: Mapping[str, int] = {
     "mu_2": MU_2,
     "offset": OFFSET,
 }
-"""Place of each fitted parameter in the vector, by name; the place of a static level holds the
-rise.
-"""
+"""Place of each fitted parameter in the vector; the place of a static level holds the rise."""
 COULOMB_OF: Mapping[str, int] = {"Ms": MC, "mu_s": MU_C}
 """Place of the Coulomb level that belongs to each static level."""
 LOGARITHMIC = (OMEGA_SF, OMEGA_SL, INERTIA)
@@ -197,9 +189,7 @@ LADDER: Mapping[str, tuple[str, ...]] = {
     "load_dependent": ("Mc", "sigma_2", "mu_gc"),
     "stribeck_load_dependent": ("Mc", "Ms", "sigma_2", "mu_gc", "mu_gs"),
 }
-"""Friction terms of each model (rung) of the ladder, simplest first. A new rung is added to this
-table only.
-"""
+"""Friction terms of each model (rung) of the ladder, simplest first; here alone a rung is added."""
 
 TRANSMITTED, DIRECTIONAL = "stribeck_transmitted_load", "stribeck_directional_load"
 SIMULATED: Mapping[str, tuple[str, ...]] = {
@@ -231,7 +221,5 @@ def bears_load(rung: str) -> bool:
 
 
 def drive_share(rung: str) -> float:
-    """Return the weight mu_gd of the motor torque in the load of a rung; if mu_gd is fitted, its
-    start value.
-    """
+    """Return the weight mu_gd of the motor torque in a rung's load; its start value if fitted."""
     return 1.0 if rung in (TRANSMITTED, DIRECTIONAL) else 0.0

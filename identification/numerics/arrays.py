@@ -1,6 +1,4 @@
-"""Type names of numpy arrays, for the type hints of all numerical modules; arrays and records as
-values for JSON.
-"""
+"""Types of numpy arrays for the hints of all numerics; arrays and records as values for JSON."""
 
 from __future__ import annotations
 
@@ -19,9 +17,7 @@ BoolArray = NDArray[np.bool_]
 
 
 Progress = Callable[[str, float], None]
-"""Function that is called with the label of the current step and the share of the step that is
-done, 0 to 1.
-"""
+"""Called with the label of the current step and the share of it that is done, 0 to 1."""
 
 
 def silent(_what: str, _share: float) -> None:

@@ -111,16 +111,12 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel of long sums; the compiler may reorder additions, vectorise them, and fuse
-    them with multiplications.
-    """
+    """Compile a kernel of long sums; additions may be reordered, vectorised and fused."""
     return _kept(function, error_model="numpy", fastmath={"reassoc", "contract"})
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a small kernel into every caller, because a call would take as long as the kernel
-    itself.
-    """
+    """Compile a small kernel into every caller, because a call takes as long as the kernel."""
     return cast(Callable[P, R], njit(inline="always", error_model="numpy")(function))
 
 
@@ -170,8 +166,7 @@ def exponential(x: float) -> float:
 One = TypeVar("One")
 Other = TypeVar("Other")
 Item = TypeVar("Item")
-THREAD = "second thread of the kernels"
-"""First part of the name of the thread."""
+THREAD = "second thread of the kernels"  # first part of the name of the thread
 
 
 @cache

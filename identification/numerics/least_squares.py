@@ -20,9 +20,7 @@ for which the normal equations are used.
 """
 
 LEAST_LENGTH = 1e-140
-"""Least norm of a column; the square of a smaller norm would be close to the smallest normal
-floating-point number.
-"""
+"""Least norm of a column; the square of a smaller one nears the smallest normal number."""
 
 
 def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
@@ -69,19 +67,12 @@ def equilibrated(normal: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Design:
-    """A bounded linear problem: minimise |columns x - target|^2 with low <= x <= high.
+    """A bounded linear problem: minimise |columns x - target|^2 with low <= x <= high."""
 
-    Attributes:
-        columns: Shape (n, p).
-        target: Shape (n,).
-        low: Least value of each coefficient, shape (p,).
-        high: Greatest value of each coefficient, shape (p,).
-    """
-
-    columns: Array
-    target: Array
-    low: Array
-    high: Array
+    columns: Array  # shape (n, p)
+    target: Array  # shape (n,)
+    low: Array  # least value of each coefficient, shape (p,)
+    high: Array  # greatest value of each coefficient, shape (p,)
 
 
 def bounded_least_squares(design: Design) -> tuple[Array, float]:
@@ -123,19 +114,13 @@ class Slope(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """End of a search.
+    """End of a search."""
 
-    Attributes:
-        x: Point at which the search ended, shape (p,).
-        cost: Cost at this point.
-        steps: Number of steps tried.
-        beaten: Whether the search was stopped because it would not have reached the cost ``reach``
-            of another search.
-    """
-
-    x: Array
-    cost: float
-    steps: int
+    x: Array  # point at which the search ended, shape (p,)
+    cost: float  # cost at this point
+    steps: int  # number of steps tried
+    # Whether the search was stopped because it would not have reached the cost `reach` of another
+    # search.
     beaten: bool = False
 
 
@@ -395,22 +380,15 @@ def bounded_step(normal: Array, gradient: Array, damping: float, x: Array, box: 
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Normal equations with the extra unknowns eliminated; p parameters, m blocks.
+    """Normal equations with the extra unknowns eliminated; p parameters, m blocks."""
 
-    Attributes:
-        matrix: Schur complement of the extra unknowns in the normal matrix, shape (p, p).
-        scores: Gradient of half the sum of squares of each block, shape (m, p).
-        cross: Part of the normal matrix with extra unknowns as rows and parameters as columns,
-            shape (m, p).
-        pull: Gradient with respect to each extra unknown, shape (m,).
-        held: Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not
-            depend on its extra unknown, so that this unknown keeps its value.
-    """
-
-    matrix: Array
-    scores: Array
+    matrix: Array  # schur complement of the extra unknowns in the normal matrix, shape (p, p)
+    scores: Array  # gradient of half the sum of squares of each block, shape (m, p)
+    # Part of the normal matrix with extra unknowns as rows and parameters as columns, shape (m, p).
     cross: Array
-    pull: Array
+    pull: Array  # gradient with respect to each extra unknown, shape (m,)
+    # Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not depend on
+    # its extra unknown, so that this unknown keeps its value.
     held: Array
 
     def own_step(self, step: Array) -> Array:
@@ -420,24 +398,15 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class BlockArrow:
-    """Jacobian of r rows in p parameters and m extra unknowns; as a dense matrix, shape (r, p + m).
+    """Jacobian of r rows in p parameters and m extra unknowns; dense: shape (r, p + m)."""
 
-    Attributes:
-        parameters: Derivatives with respect to the parameters, shape (r, p).
-        own: Derivative of each row with respect to the extra unknown of its block, shape (r,).
-        owners: Block of each row, shape (r,).
-        blocks: Number of blocks, m.
-    """
-
-    parameters: Array
-    own: Array
-    owners: NDArray[np.int64]
-    blocks: int
+    parameters: Array  # derivatives with respect to the parameters, shape (r, p)
+    own: Array  # derivative of each row with respect to the extra unknown of its block, shape (r,)
+    owners: NDArray[np.int64]  # block of each row, shape (r,)
+    blocks: int  # number of blocks, m
 
     def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
-        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to
-        self.
-        """
+        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other``: self."""
         found = self._products(weight, self if other is None else other)
         p = self.parameters.shape[1]
         out = np.zeros((p + self.blocks, p + self.blocks))
@@ -453,9 +422,7 @@ class BlockArrow:
         return np.concatenate([self.parameters.T @ vector, times])
 
     def along(self, directions: Array) -> Array:
-        """Return ``self @ directions``, the change of every row, for ``directions`` of shape (p +
-        m,) or (p + m, k).
-        """
+        """Return ``self @ directions``, for ``directions`` of shape (p + m,) or (p + m, k)."""
         p = self.parameters.shape[1]
         own = self.own if directions.ndim == 1 else self.own[:, None]
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
@@ -479,9 +446,7 @@ class BlockArrow:
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
-        """Return each block's information on the parameters, with its extra unknown eliminated
-        (M12), shape (m, p, p).
-        """
+        """Return each block's information on the parameters, less its unknown (M12), (m, p, p)."""
         p = self.parameters.shape[1]
         found = self._products(None, self)
         cross, own = found[:, p, :p], found[:, p, p]

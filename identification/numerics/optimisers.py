@@ -21,25 +21,19 @@ from identification.numerics.arrays import Array
 class GeneticSettings:
     """Settings of a search; the defaults are those of the paper (Sec. 4.2) or, where the paper
     gives none, those of the toolbox.
-
-    Attributes:
-        population: Number of individuals per generation.
-        crossover_fraction: Share of the children, elite individuals excluded, that crossover makes;
-            mutation makes the remaining children.
-        elite: Number of best individuals that pass to the next generation unchanged.
-        mutation_scale: Standard deviation of the first generation's mutation over the width of the
-            box.
-        mutation_shrink: Share by which the standard deviation of the mutation falls, linearly, up
-            to the last generation.
-        generations: Number of generations, the first random generation included, after which the
-            search stops.
     """
 
-    population: int = 40
+    population: int = 40  # number of individuals per generation
+    # Share of the children, elite individuals excluded, that crossover makes; mutation makes the
+    # remaining children.
     crossover_fraction: float = 0.8
-    elite: int = 2
+    elite: int = 2  # number of best individuals that pass to the next generation unchanged
+    # Standard deviation of the first generation's mutation over the width of the box.
     mutation_scale: float = 1.0
+    # Share by which the standard deviation of the mutation falls, linearly, up to the last
+    # generation.
     mutation_shrink: float = 1.0
+    # Number of generations, the first random generation included, after which the search stops.
     generations: int = 1000
 
     def __post_init__(self) -> None:
@@ -164,10 +158,8 @@ def _reflect(genes: Array, low: Array, high: Array) -> Array:
 
 POPULATION, GENERATIONS = 40, 1000
 """Settings of the genetic algorithm (paper, Sec. 4.2)."""
-BUDGET = POPULATION * GENERATIONS
-"""Greatest number of evaluations of the cost by an optimiser."""
-STARTS = 20
-"""Number of random starts of the least-squares optimiser."""
+BUDGET = POPULATION * GENERATIONS  # greatest number of evaluations of the cost by an optimiser
+STARTS = 20  # number of random starts of the least-squares optimiser
 _FIRST_SIGMA = 0.3  # share of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
 
 
@@ -182,9 +174,7 @@ class BoxProblem(Protocol):
         """Return the cost of every row of ``x``, shape (p, d), as shape (p,)."""
 
     def residuals(self, x: Array, /) -> Array:
-        """Return the residuals at ``x``, shape (d,); the cost is the square root of the sum of
-        squares of the residuals.
-        """
+        """Return the residuals at ``x``, shape (d,); the cost is the root of their squares' sum."""
 
 
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
@@ -214,9 +204,7 @@ def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Arr
 
 
 def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """CMA-ES of the ``cmaes`` library with the default settings of the library, from the centre of
-    the box.
-    """
+    """CMA-ES of the ``cmaes`` library with its default settings, from the centre of the box."""
     bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
     # Imported late: the library imports scipy.stats, which an identification does not need.
     from cmaes import CMA

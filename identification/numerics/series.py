@@ -11,8 +11,7 @@ import numpy as np
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
-SAME_STEP = 1e-6
-"""Relative difference of two time steps up to which it counts as a rounding error."""
+SAME_STEP = 1e-6  # relative difference of two time steps up to which it counts as a rounding error
 _PER_HALF_TURN = 1.0 / math.pi
 _HALF_TURN, _REST = 3.1415926534682512, 1.2154201013012384e-10
 """pi to 33 bits, whose small multiples are exact, and the remainder of pi."""

@@ -220,8 +220,7 @@ def _generations(history: Array) -> Array:
 
 
 _COLUMNS = 3
-_TOP = 3.0
-"""Greatest deviance shown, relative to the deviance at the ends of the 90 % range."""
+_TOP = 3.0  # greatest deviance shown, relative to the deviance at the ends of the 90 % range
 
 
 def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figure:
@@ -288,14 +287,11 @@ def _smooth(curve: Profile) -> tuple[Array, Array]:
     return values, np.asarray(root**2)
 
 
-_WIDTH = 4.4
-"""Width of the figure, inches: its text is legible on a screen of 390 pixels."""
+_WIDTH = 4.4  # width of the figure, inches: its text is legible on a screen of 390 pixels
 
 
 def result(
-    identified: Identification,
-    moments: Mapping[str, float | None],
-    recordings: Sequence[Recording],
+    identified: Identification, moments: Mapping[str, float | None], recordings: Sequence[Recording]
 ) -> Figure:
     """Draw friction against speed. Below, draw tracking error, current (or torque) and temperature
     of all recordings, one after the other in time, as far as these channels were recorded.

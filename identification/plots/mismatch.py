@@ -1,4 +1,6 @@
-"""Draws the figures of a diagnosis: mismatch by coordinate and time, curve, rivals."""
+"""Draws the figures of a diagnosis (mismatch by coordinate and time, curve, rivals) and of an
+investigation: odds after each experiment, and a prediction against its recording.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,18 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from identification.diagnosis.result import Fit, IdentifiedEffect, Map, ResidualTrace
 from identification.effects.model import Curve
+from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,
     BLUE,
     CYCLE,
     GREY,
+    MEASURED,
+    MODEL,
+    ORANGE,
     SKY,
     VERMILION,
+    ZERO,
     broken,
     continuing,
     figure,
@@ -28,12 +35,10 @@ from identification.plots.style import (
 
 _OPENING_WIDTH = 4.4
 """Width of the first figure, inches: its text is legible on a screen of 390 pixels."""
-_FEW_DECADES = 300.0
-"""Ratio of a logarithmic axis below which the ticks at 2 and 5 have labels too."""
+_FEW_DECADES = 300.0  # ratio of a logarithmic axis below which the ticks at 2 and 5 have labels too
 _COLUMNS = 2
 _MOST_MAPS = 8
-_LEAST_SHARE = 0.005
-"""Share of the mismatch below which a coordinate is not drawn."""
+_LEAST_SHARE = 0.005  # share of the mismatch below which a coordinate is not drawn
 _DRAWN = {
     "rad": (math.degrees(1.0), "deg"),
     "Pa": (1e-3, "kPa"),
@@ -200,8 +205,7 @@ def _quantity(missing: Curve) -> str:
     return other.get(missing.equation, "force" if missing.residual_unit == "N" else "torque")
 
 
-Band = tuple[float, float, float]
-"""A share with the lower and upper end of its interval."""
+Band = tuple[float, float, float]  # a share with the lower and upper end of its interval
 
 
 def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:
@@ -225,25 +229,59 @@ def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> 
     return made
 
 
-def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Draw the confusion of injected and identified effects, as shares of a row.
+FEW = 6  # number of hypotheses that are drawn, the most likely ones of any experiment
+
+
+def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Figure:
+    """Draw the probability of each hypothesis after each experiment.
 
     Args:
-        table: Injected effect -> first identified effect -> count.
+        experiments: Names of the experiments, in order.
+        each: Name of each hypothesis to its probability, after each experiment.
     """
-    given = sorted(
-        {name for row in table.values() for name in row}, key=lambda name: (name not in table, name)
-    )
-    shares = np.zeros((len(table), len(given)))
-    for i, row in enumerate(table.values()):
-        for name, times in row.items():
-            shares[i, given.index(name)] = times / sum(row.values())
-    made, (axis,) = figure(1, width=10.0, height=9.0)
-    axis.grid(False)
-    image = axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    axis.set_xticks(range(len(given)), given, rotation=90, fontsize=6)
-    axis.set_yticks(range(len(table)), list(table), fontsize=6)
-    axis.set_xlabel("called")
-    axis.set_ylabel("true")
-    made.colorbar(image, ax=axis, shrink=0.6, label="share of the trials")
+    greatest: dict[str, float] = {}
+    for after in each:
+        for name, p in after.items():
+            greatest[name] = max(p, greatest.get(name, 0.0))
+    shown = sorted(greatest, key=lambda name: -greatest[name])[:FEW]
+    made, (axis,) = figure(1, height=5.0)
+    at = np.arange(len(experiments))
+    beside = np.linspace(-0.1, 0.1, len(shown))  # equal curves stay visible
+    for name, off in zip(shown, beside, strict=True):
+        axis.plot(at + off, [after.get(name, 0.0) for after in each], marker="o", label=name)
+    axis.set_xticks(at, experiments)
+    axis.set_ylim(-0.02, 1.02)
+    axis.set_xlabel("experiment")
+    axis.set_ylabel("probability (1)")
+    legend_above(axis, 3)
+    return made
+
+
+def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -> Figure:
+    """Draw a prediction with its band and the measured torque, and their difference with the band,
+    one column for each recording.
+
+    Args:
+        traces: Name of each recording to time, s, in steady motion only, predicted torque, half
+            width of the band, and measured torque at the same times, each of shape (n,).
+        unit: Unit of the torque.
+    """
+    made, axes = figure(2, len(traces), width=max(8.0, 5.0 * len(traces)), height=5.5, sharex=True)
+    for column, (name, trace) in enumerate(traces.items()):
+        top, bottom = axes[column :: len(traces)]
+        few = thinned(len(trace[0]))
+        t, predicted, half, measured = (values[few] for values in trace)
+        top.plot(t, measured, label="measured", **MEASURED)
+        top.plot(t, predicted, label="predicted before the run", **MODEL)
+        top.set_title(name)
+        bottom.fill_between(
+            t, -half, half, color=ORANGE, alpha=0.4, label="band", linewidth=0.0, zorder=3
+        )
+        bottom.plot(t, measured - predicted, label="measured - predicted", **MEASURED)
+        bottom.axhline(0.0, **ZERO)
+        bottom.set_xlabel("time (s)")
+        top.set_ylabel(f"torque ({unit})")
+        bottom.set_ylabel(f"difference ({unit})")
+    handles = [*top.lines, *bottom.collections, bottom.lines[0]]
+    made.legend(handles=handles, loc="outside lower center", ncols=4)
     return made

@@ -22,7 +22,7 @@ from identification.plots.style import (
     thinned,
 )
 
-__all__ = ["Figure", "areas", "closed_loop", "errors", "speeds", "sweep", "tracking", "uniform"]
+__all__ = ["Figure", "areas", "closed_loop", "speeds", "sweep", "tracking", "uniform"]
 
 _COLORS = (VERMILION, BLUE)
 _MM2 = 1e6
@@ -50,19 +50,6 @@ def tracking(
     bottom.set_ylabel("command - angle (mrad)")
     bottom.set_xlabel("time (s)")
     legend_above(top, 3)
-    return made
-
-
-def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
-    """Draw tracking errors; a panel has title, time (s) and errors by name (rad)."""
-    made, axes = figure(len(panels), height=1.0 + 2.4 * len(panels), sharex=True)
-    for axis, (name, time, by_name) in zip(axes, panels, strict=True):
-        for color, (how, error) in zip(_COLORS, by_name.items(), strict=False):
-            axis.plot(time, 1e3 * error, color=color, linewidth=1.0, label=how)
-        axis.set_title(name, fontsize=10, loc="left")
-        axis.set_ylabel("command - angle (mrad)")
-    axes[-1].set_xlabel("time (s)")
-    legend_above(axes[0], 2)
     return made
 
 

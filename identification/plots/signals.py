@@ -60,9 +60,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
 
 
 def residual(trace: Trace, motion: str, unit: str) -> Figure:
-    """Draw the residual of the model against time and velocity, and its histogram; moving samples
-    only.
-    """
+    """Draw the model's residual over time and velocity, and its histogram; moving samples only."""
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
     error, label = trace.torque - trace.torque_model, f"measured - model ({unit})"
     few, used = thinned(len(error)), moving(trace)

@@ -24,12 +24,9 @@ _POINT = 1.0 / 72.0
 _EDGE, _LINE, _PAD, _TICKS = 3.0 * _POINT, 13.0 * _POINT, 4.0 * _POINT, 17.0 * _POINT
 """Margin at the edge of the figure, height of a line of text, gap between an axis and its label,
 and height of ticks with their labels, inches."""
-_TICK = 7.0 * _POINT
-"""Length of a tick and gap to its label, inches."""
-_RIGHT = 12.0 * _POINT
-"""Room for half of the last tick label on the right, inches."""
-_FREE = 9.0 * _POINT
-"""Room above axes that have no legend above them, inches."""
+_TICK = 7.0 * _POINT  # length of a tick and gap to its label, inches
+_RIGHT = 12.0 * _POINT  # room for half of the last tick label on the right, inches
+_FREE = 9.0 * _POINT  # room above axes that have no legend above them, inches
 
 
 def arrange(made: Figure) -> None:
@@ -126,8 +123,7 @@ COMPRESSION = {"compress_level": 3}
 """Compression of zlib: files are 8 % larger, and written in two thirds of the time."""
 
 
-_GAP = 5.0
-"""Gap between two samples, in median time steps, above which no line joins the samples."""
+_GAP = 5.0  # gap between two samples, in median time steps, above which no line joins the samples
 
 
 def figure(

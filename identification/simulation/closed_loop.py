@@ -34,9 +34,7 @@ _EXACT = 1e-12
 def next_speed(
     speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array
 ) -> float:
-    """Return the speed after ``h`` seconds under ``torque``, N m, which excludes friction and
-    damping.
-    """
+    """Return the speed after ``h`` s under ``torque``, N m, less friction and damping."""
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
     static = friction(0.0, moment, gear, body)[0]
@@ -134,39 +132,24 @@ OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Response:
-    """A simulated response, shape (n,), SI, at the joint.
+    """A simulated response, shape (n,), SI, at the joint."""
 
-    Attributes:
-        time: s.
-        angle: rad.
-        velocity: rad/s.
-        torque: Torque of the drive, N m.
-    """
-
-    time: Array
-    angle: Array
-    velocity: Array
-    torque: Array
+    time: Array  # s
+    angle: Array  # rad
+    velocity: Array  # rad/s
+    torque: Array  # torque of the drive, N m
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Inputs of the loop, shape (n,).
+    """Inputs of the loop, shape (n,)."""
 
-    Attributes:
-        time: s, increasing.
-        command: rad.
-        scale: Factor on the controller's output: the supply voltage if the output is a duty cycle,
-            else 1.
-        added: Signal added to the scaled output, in the output's unit.
-        moment: F_P L1, N m.
-    """
-
-    time: Array
-    command: Array
+    time: Array  # s, increasing
+    command: Array  # rad
+    # Factor on the controller's output: the supply voltage if the output is a duty cycle, else 1.
     scale: Array
-    added: Array
-    moment: Array
+    added: Array  # signal added to the scaled output, in the output's unit
+    moment: Array  # F_P L1, N m
 
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
@@ -318,30 +301,21 @@ def replay(
 
 
 FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
-"""Parameters that are proportional to the friction as a whole; Stribeck speeds, inertia and offset
-are not.
-"""
+"""Parameters proportional to the friction as a whole: not Stribeck speeds, inertia or offset."""
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums of squares over all samples, including samples at rest, from which rms errors are
-    computed.
+    """Sums of squares over all samples, also at rest, from which rms errors are computed."""
 
-    Attributes:
-        torque_error: Sum of squares of simulated less measured drive torque at the bandwidth.
-        torque: Sum of squares of the measured drive torque at the bandwidth.
-        torque_samples: Number of torque samples.
-        angle_error: Sum of squares of simulated less measured angle at the recording's time stamps.
-        angle_samples: Number of angle samples.
-        angle_absolute: Sum of absolute errors of the angle at the recording's time stamps.
-    """
-
+    # Sum of squares of simulated less measured drive torque at the bandwidth.
     torque_error: float = 0.0
-    torque: float = 0.0
-    torque_samples: int = 0
+    torque: float = 0.0  # sum of squares of the measured drive torque at the bandwidth
+    torque_samples: int = 0  # number of torque samples
+    # Sum of squares of simulated less measured angle at the recording's time stamps.
     angle_error: float = 0.0
-    angle_samples: int = 0
+    angle_samples: int = 0  # number of angle samples
+    # Sum of absolute errors of the angle at the recording's time stamps.
     angle_absolute: float = 0.0
 
     @property
@@ -411,9 +385,7 @@ def compare_angle(recording: Recording, response: Response) -> Sums:
 
 
 def simulated_torque(prepared: Prepared, response: Response) -> Array:
-    """Return the simulated drive torque after the filter of the fit, N m, at
-    ``prepared.time``.
-    """
+    """Return the simulated drive torque after the filter of the fit, N m, at ``prepared.time``."""
     recording = prepared.recording
     series = resample(recording.time, response.torque, uniform_grid(recording))
     if prepared.filter.half:

@@ -23,62 +23,41 @@ from identification.numerics.compiled import compiled
 from identification.recording import Recording
 
 STEPS = 20
-"""Number of integration steps per sample at 1 kHz; under load friction falls within 100
-microseconds.
-"""
+"""Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A drive: position P and velocity PI controller with feedforward of the commanded speed.
+    """A drive: position P and velocity PI controller with feedforward of the commanded speed."""
 
-    Attributes:
-        position_gain: 1/s.
-        velocity_gain: N m s/rad at the joint.
-        integral: Integral gain of the velocity loop, 1/s.
-        filter_Hz: Cut-off of the first-order filter on the measured speed.
-        torque_limit: N m.
-        count: Joint angle of one step of the drive's encoder, rad; 0 for an encoder without
-            quantisation. The quantised angle affects the torque through the speed filter, the
-            quantised command through the feedforward.
-        lag: Lag of the torque behind the loop's output, s; 0 for none.
-    """
-
-    position_gain: float
-    velocity_gain: float
-    integral: float
-    filter_Hz: float
-    torque_limit: float
+    position_gain: float  # 1/s
+    velocity_gain: float  # N m s/rad at the joint
+    integral: float  # integral gain of the velocity loop, 1/s
+    filter_Hz: float  # cut-off of the first-order filter on the measured speed
+    torque_limit: float  # N m
+    # Joint angle of one step of the drive's encoder, rad; 0 for an encoder without quantisation.
+    # The quantised angle affects the torque through the speed filter, the quantised command through
+    # the feedforward.
     count: float = 0.0
-    lag: float = 0.0
+    lag: float = 0.0  # lag of the torque behind the loop's output, s; 0 for none
 
 
 def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
-    """Return a stiff servo loop: velocity bandwidth 95 Hz, and a tenth of this bandwidth for the
-    position.
-    """
+    """Return a stiff servo loop: velocity bandwidth 95 Hz, position bandwidth a tenth of it."""
     position = 0.1 * _VELOCITY_BANDWIDTH
     return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit, count)
 
 
 @dataclass(frozen=True)
 class Response:
-    """The response of the nominal model. Arrays have shape (n,), at the joint.
+    """The response of the nominal model. Arrays have shape (n,), at the joint."""
 
-    Attributes:
-        angle: Joint angle at each sample, rad.
-        torque: Mean torque over the period that ends at each sample, N m.
-        peak_speed: Greatest speed at any instant, rad/s.
-        peak_torque: Greatest torque, N m.
-        peak_following: Greatest following error, rad.
-    """
-
-    angle: Array
-    torque: Array
-    peak_speed: float
-    peak_torque: float
-    peak_following: float
+    angle: Array  # joint angle at each sample, rad
+    torque: Array  # mean torque over the period that ends at each sample, N m
+    peak_speed: float  # greatest speed at any instant, rad/s
+    peak_torque: float  # greatest torque, N m
+    peak_following: float  # greatest following error, rad
 
 
 def respond(
@@ -192,16 +171,11 @@ def _follow(
         peaks[2] = max(peaks[2], abs(command[k] - theta))
 
 
-_MEAN = 4
-"""Number of samples over which torque and regressors are averaged."""
-_LATENESSES = range(7)
-"""Delays of the command that are tried, in cycles."""
+_MEAN = 4  # number of samples over which torque and regressors are averaged
+_LATENESSES = range(7)  # delays of the command that are tried, in cycles
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
 """Delays between the joint's motion and the loop's response that are tried, s."""
-_MISFIT = 0.15
-"""Greatest ratio of the rms of the residual to the rms of the torque's changes at which the
-estimated loop is accepted.
-"""
+_MISFIT = 0.15  # greatest rms of the residual over that of the torque's changes of an accepted loop
 _GAINS = 3
 
 

@@ -1,3 +1,1 @@
-"""Recordings as signals at the full sample rate on an even grid, and the nominal model as a
-function of these signals.
-"""
+"""Recordings as signals on an even grid of the full rate; the nominal model of these signals."""

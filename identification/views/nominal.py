@@ -18,22 +18,17 @@ from identification.recording import Array
 from identification.signals import central_difference, resample
 from identification.views.view import View, recent
 
-RISE = 0.5
-"""Assumed rise of static over Coulomb friction, as a share of Coulomb friction."""
-LARGEST_STEP = 0.4
-"""Greatest change of log omega_s in one iteration."""
+RISE = 0.5  # assumed rise of static over Coulomb friction, as a share of Coulomb friction
+LARGEST_STEP = 0.4  # greatest change of log omega_s in one iteration
 _AT_LIMIT = 1e-9
-LEAST_RISE = 1e-6
-"""Least rise of static over Coulomb friction, as a share of Coulomb friction."""
+LEAST_RISE = 1e-6  # least rise of static over Coulomb friction, as a share of Coulomb friction
 LEAST_FALL = 1e-3
 """Rise, as a share of Coulomb friction, below which dry friction counts as constant with speed."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
 class NominalTorque:
-    """Torque of the nominal model at given values: system load (eq. 9), working load (eq. 13) and
-    inertia, of a view.
-    """
+    """Torque of the nominal model in a view: load terms (eq. 9, eq. 13) and inertia."""
 
     values: Mapping[str, float]
     alpha: float
@@ -90,16 +85,12 @@ class NominalTorque:
         return _frozen(view.known - _unknown(view, self.undeclared))
 
     def helped(self, view: View) -> bool:
-        """Whether a load that turns with the joint, declared or identified, acts in this
-        recording.
-        """
+        """Whether a declared or identified load that turns with the joint acts here."""
         return any(self.undeclared) or view.burdened
 
     @recent
     def drive(self, view: View) -> Array:
-        """Return the torque that the drive must produce, including the torque of loads that turn
-        with the joint, N m.
-        """
+        """Return the torque that the drive must produce, with loads that turn with it, N m."""
         return _frozen(self.torque(view) - self.helping(view))
 
     @recent
@@ -130,41 +121,32 @@ class Nominal(NominalTorque):
 
     Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
     series of a recording.
-
-    Attributes:
-        values: Name to value, at the joint.
-        free: Names of the estimated parameters.
-        alpha: Stribeck exponent.
-        undeclared: Load torque of identified effects that turn with the joint: coefficients of
-            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
-            declared load.
-        zero_A: Zero offset of the logged current, from identified effects, A.
-        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
-            the number of recordings, if each recording has its own origin of angles), and
-            coefficients; empty without ripple.
-        efficiency: Efficiency of the transmission, from identified effects.
-        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
-            derivatives with respect to rises and Stribeck speeds; None without such an effect.
-        late_s: Delay of the torque samples relative to the angle samples, from an identified
-            effect, s; 0 without such an effect.
-        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
-            0 without such an effect.
-        play: Width of a play before friction, from an identified effect, rad; 0 without one.
-        most: Name of each static level to its greatest value by the recordings; empty for no
-            limits.
     """
 
-    values: Mapping[str, float]
-    free: tuple[str, ...]
-    alpha: float
+    values: Mapping[str, float]  # name to value, at the joint
+    free: tuple[str, ...]  # names of the estimated parameters
+    alpha: float  # Stribeck exponent
+    # Load torque of identified effects that turn with the joint: coefficients of sin(angle),
+    # cos(angle), angle and 1, N m. The gear transmits this torque like that of a declared load.
     undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    zero_A: float = 0.0
+    zero_A: float = 0.0  # zero offset of the logged current, from identified effects, A
+    # Ripple of the torque constant, from identified effects: cycles per motor turn (and the number
+    # of recordings, if each recording has its own origin of angles), and coefficients; empty
+    # without ripple.
     ripple: tuple[tuple[float, ...], ...] = ()
-    efficiency: float = 1.0
+    efficiency: float = 1.0  # efficiency of the transmission, from identified effects
+    # Stribeck exponent of an identified effect that replaces `alpha` in derivatives with respect to
+    # rises and Stribeck speeds; None without such an effect.
     fitted_alpha: float | None = None
+    # Delay of the torque samples relative to the angle samples, from an identified effect, s; 0
+    # without such an effect.
     late_s: float = 0.0
+    # Presliding stiffness of friction, from an identified effect, N m/rad; 0 without such an
+    # effect.
     presliding_stiffness: float = 0.0
+    # Width of a play before friction, from an identified effect, rad; 0 without one.
     play: float = 0.0
+    # Name of each static level to its greatest value by the recordings; empty for no limits.
     most: Mapping[str, float] = field(default_factory=dict)
 
     def without_effects(self) -> Nominal:
@@ -188,9 +170,7 @@ class Nominal(NominalTorque):
         return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
 
     def at_most(self, step: Array) -> frozenset[str]:
-        """Return the static levels that are at their limit and that ``step`` would move beyond this
-        limit.
-        """
+        """Return the static levels at their limit that ``step`` would move beyond it."""
         return frozenset(
             name
             for name, change in zip(self.free, step, strict=True)
@@ -200,9 +180,7 @@ class Nominal(NominalTorque):
         )
 
     def tangent(self, view: View) -> Array:
-        """Return the torque's derivatives with respect to the free parameters, shape (len(free),
-        m).
-        """
+        """Return the torque's derivatives by the free parameters, shape (len(free), m)."""
         return np.stack([self._direction(view, name) for name in self.free])
 
     def moved(self, linear_step: Array, speed_step: Array, share: float = 1.0) -> Nominal:
@@ -312,9 +290,7 @@ def _frozen(series: Array) -> Array:
 
 
 def winding_voltage(view: View) -> Array:
-    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown constants count as
-    0.
-    """
+    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown: 0."""
     assert view.current is not None
     bench = view.recording.bench
     change = central_difference(view.current, view.step)
@@ -354,10 +330,5 @@ def command_ripple(view: View) -> Array:
     return central_difference(speed, view.step)
 
 
-INSTANTS: Mapping[str, Callable[[View], Array]] = {
-    "hold": voltage_change,
-    "ripple": command_ripple,
-}
-"""Parameters that samples at instants add to the voltage equation, each with the function that
-computes its column.
-"""
+INSTANTS: Mapping[str, Callable[[View], Array]] = {"hold": voltage_change, "ripple": command_ripple}
+"""Parameters that sampling at instants adds to the voltage equation, with their columns."""

@@ -15,46 +15,33 @@ from identification.signals import BoolArray, Decimator, noise, without_tones
 from identification.views.nominal import INSTANTS, NominalTorque
 from identification.views.view import View, sharpness
 
-LEAST_PER_COLUMN = 10
-"""Least number of samples for each quantity that is fitted in a recording."""
+LEAST_PER_COLUMN = 10  # least number of samples for each quantity that is fitted in a recording
 ACCURACY = 2e-4
 """Error that even the best sensors may cause, as a share of the greatest torque or voltage."""
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """One equation of one recording at the stated bandwidth.
+    """One equation of one recording at the stated bandwidth."""
 
-    Attributes:
-        equation: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
-        recording: Name of the recording.
-        role: ``fit`` or ``validate``.
-        time: s, shape (n,).
-        measured: Measured side in the equation's unit, shape (n,); NaN at samples where the
-            equation does not apply (at rest, or with the power stage off).
-        model: Modelled side in the equation's unit, shape (n,); NaN at the same samples.
-    """
-
-    equation: str
-    recording: str
-    role: str
-    time: Array
+    equation: str  # `torque`, `transmission`, `voltage` or `breakaway`
+    recording: str  # name of the recording
+    role: str  # `fit` or `validate`
+    time: Array  # s, shape (n,)
+    # Measured side in the equation's unit, shape (n,); NaN at samples where the equation does not
+    # apply (at rest, or with the power stage off).
     measured: Array
-    model: Array
+    model: Array  # modelled side in the equation's unit, shape (n,); NaN at the same samples
 
     @property
     def error(self) -> Array:
-        """Measured less modelled side of the equation, at the samples where the equation
-        applies, shape (k,).
-        """
+        """Measured less modelled side of the equation where the equation applies, shape (k,)."""
         off = self.measured - self.model
         return off[np.isfinite(off)]
 
 
 def rms(parts: Iterable[Predicted]) -> float | None:
-    """Return the root mean square of the errors of several recordings, or None without any
-    error.
-    """
+    """Return the root mean square of several recordings' errors, or None without any error."""
     errors = [p.error for p in parts]
     count = sum(len(e) for e in errors)
     return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None

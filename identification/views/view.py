@@ -48,9 +48,7 @@ from identification.signals import (
 RISE_SAMPLES = 5
 """Number of samples before a breakaway over which the torque's rate of rise is averaged."""
 STEADY_SHARE = 0.7
-"""Ratio of the peak-to-peak variation of the speed around a sample to the speed, from which motion
-counts as unsteady.
-"""
+"""Peak-to-peak speed around a sample over the speed, from which motion counts as unsteady."""
 HUNTING_SHARE = 0.09
 """Ratio of the rms of the part of the speed that the filter removes to the filtered speed, from
 which motion counts as unsteady too.
@@ -64,9 +62,7 @@ oscillation of the drive can be distinguished from motion just above the cut-off
 THIRD_DIFFERENCE = math.sqrt(20.0)
 """Standard deviation of the third differences of white noise of unit variance."""
 LEAST_REST_S = 0.02
-"""Least duration of a rest, s; a shorter rest is not distinguished from slow passage through zero
-speed.
-"""
+"""Least duration of a rest, s; a shorter one is not told from slow passage through zero."""
 
 
 def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
@@ -91,9 +87,7 @@ class Quick(NamedTuple):
 
 
 def quick_speed(series: Array, rate: float) -> Quick:
-    """Return the speed by differences over :data:`QUICK_SAMPLES` on either side of each sample of a
-    measured position.
-    """
+    """Return the speed by differences over :data:`QUICK_SAMPLES` on either side of a sample."""
     span = 2 * QUICK_SAMPLES / rate
     padded = np.pad(series, QUICK_SAMPLES, mode="edge")
     rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
@@ -148,33 +142,25 @@ def reversals(sense: Array) -> BoolArray:
 
 
 def time_since(time: Array, marks: BoolArray) -> Array:
-    """Return the time since the last marked sample, or since the first sample if none is marked
-    before.
-    """
+    """Return the time since the last marked sample, or else since the first sample."""
     last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
     return np.asarray(time - time[last])
 
 
 def last_rest_duration(rest: Array, still: BoolArray) -> Array:
-    """Return the duration of the last rest at each sample; the value is held until the next rest
-    begins.
-    """
+    """Return the duration of the last rest at each sample; held until the next rest begins."""
     last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
     return np.asarray(rest[last])
 
 
 def travel(angle: Array, turned: BoolArray) -> Array:
-    """Return the distance of the angle from its value at the last reversal, or at the first
-    sample.
-    """
+    """Return the distance of the angle from the last reversal, or else the first sample."""
     last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
     return np.asarray(np.abs(angle - angle[last]))
 
 
 LEAST_STEADY = 0.1
-"""Samples in unsteady motion are omitted only if at least this share of all samples is in steady
-motion.
-"""
+"""Samples in unsteady motion are omitted only if this share of all is in steady motion."""
 SAME_ENCODER = 1e-9
 """Greatest difference of motor and joint angle, relative to the travel, at which both angles count
 as readings of one encoder.
@@ -191,14 +177,10 @@ WITHIN_STEP = 0.3
 """Standard deviation of the instant of a breakaway within its sample, relative to the sample period
 (0.29 for a uniform distribution).
 """
-SURE_N_M = 0.1
-"""Approximate torque noise of one sample on the practical bench."""
+SURE_N_M = 0.1  # approximate torque noise of one sample on the practical bench
 P = ParamSpec("P")
 R = TypeVar("R")
-KEPT = 128
-"""Number of results that are kept for each function; hundreds of trial parameters use the same
-series.
-"""
+KEPT = 128  # number of results kept for each function; hundreds of trial parameters use one series
 _CACHES: list[Any] = []
 
 
@@ -221,72 +203,46 @@ class View:
     stated otherwise.
 
     Instances are compared by identity, as keys of caches.
-
-    Attributes:
-        recording: The recording.
-        index: Index among the recordings under diagnosis.
-        time: Time stamps, s.
-        run_time: Time since the start of the first recording, s.
-        angle: Joint angle by the finer encoder, rad.
-        velocity: Joint velocity, rad/s.
-        acceleration: Joint acceleration, rad/s^2.
-        torque: Drive torque less known loads, N m.
-        raw_torque: Unfiltered ``torque``, for events within a few samples, N m.
-        twist: Motor acceleration over the gear ratio less joint acceleration, rad/s^2; zero if
-            friction is a function of the motor's motion.
-        known: Known loads (a declared weight that turns with the joint), N m.
-        hanging: Known loads without their inertia torque, N m.
-        moment: F_P L1, N m.
-        sense: Sign of friction: direction of motion, or at rest the sign of the torque.
-        still: Samples at rest.
-        rest_time: Duration of the present or last rest, s.
-        reversal_time: Time since the last reversal, s.
-        reversal_travel: Travel since the last reversal, rad.
-        motor: Angle of the motor shaft, rad; without a motor encoder computed from the joint angle.
-        motor_speed: Speed of the motor shaft, rad/s.
-        lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
-        current: Motor current, A, or None if not recorded.
-        voltage: Voltage, V, NaN while the power stage is off, or None if not recorded.
-        supply: Supply voltage, V, or None if not recorded.
-        temperature: Temperature, deg C, or None if not recorded.
-        low_pass: Filter to the stated bandwidth.
-        moving: Mask of the filter outputs that depend on no sample at rest, at a reversal or in
-            unsteady motion, shape (n,).
-        unsteady: Mask of the filter outputs that depend on no sample at rest or at a reversal, for
-            machines that hardly move steadily, such as in slow motion against cogging, shape (n,).
-        breakaways: Samples at which a rest ends, shape (e,).
-        behind: Cache of the view with delayed motion that was computed last: delay, s, to view.
     """
 
     recording: Recording
-    index: int
-    time: Array
-    run_time: Array
-    angle: Array
-    velocity: Array
-    acceleration: Array
-    torque: Array
-    raw_torque: Array
+    index: int  # index among the recordings under diagnosis
+    time: Array  # time stamps, s
+    run_time: Array  # time since the start of the first recording, s
+    angle: Array  # joint angle by the finer encoder, rad
+    velocity: Array  # joint velocity, rad/s
+    acceleration: Array  # joint acceleration, rad/s^2
+    torque: Array  # drive torque less known loads, N m
+    raw_torque: Array  # unfiltered `torque`, for events within a few samples, N m
+    # Motor acceleration over the gear ratio less joint acceleration, rad/s^2; zero if friction is a
+    # function of the motor's motion.
     twist: Array
-    known: Array
-    hanging: Array
-    moment: Array
-    sense: Array
-    still: BoolArray
-    rest_time: Array
-    reversal_time: Array
-    reversal_travel: Array
+    known: Array  # known loads (a declared weight that turns with the joint), N m
+    hanging: Array  # known loads without their inertia torque, N m
+    moment: Array  # F_P L1, N m
+    sense: Array  # sign of friction: direction of motion, or at rest the sign of the torque
+    still: BoolArray  # samples at rest
+    rest_time: Array  # duration of the present or last rest, s
+    reversal_time: Array  # time since the last reversal, s
+    reversal_travel: Array  # travel since the last reversal, rad
+    # Angle of the motor shaft, rad; without a motor encoder computed from the joint angle.
     motor: Array
-    motor_speed: Array
+    motor_speed: Array  # speed of the motor shaft, rad/s
+    # Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
     lag: Array | None
-    current: Array | None
-    voltage: Array | None
-    supply: Array | None
-    temperature: Array | None
-    low_pass: Decimator
+    current: Array | None  # motor current, A, or None if not recorded
+    voltage: Array | None  # voltage, V, NaN while the power stage is off, or None if not recorded
+    supply: Array | None  # supply voltage, V, or None if not recorded
+    temperature: Array | None  # temperature, deg C, or None if not recorded
+    low_pass: Decimator  # filter to the stated bandwidth
+    # Mask of the filter outputs that depend on no sample at rest, at a reversal or in unsteady
+    # motion, shape (n,).
     moving: BoolArray
+    # Mask of the filter outputs that depend on no sample at rest or at a reversal, for machines
+    # that hardly move steadily, such as in slow motion against cogging, shape (n,).
     unsteady: BoolArray
-    breakaways: np.ndarray
+    breakaways: np.ndarray  # samples at which a rest ends, shape (e,)
+    # Cache of the view with delayed motion that was computed last: delay, s, to view.
     behind: dict[float, View] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -586,9 +542,7 @@ def lacks_common_origin(views: Sequence[View]) -> bool:
 
 
 def one_clock(recordings: Sequence[Recording]) -> bool:
-    """Whether the recordings, by their starts or time stamps, follow one another as on one
-    clock.
-    """
+    """Whether the recordings, by starts or time stamps, follow one another on one clock."""
     spans = sorted(r.span for r in recordings)
     return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
 
@@ -603,10 +557,7 @@ def run_starts(recordings: Sequence[Recording]) -> list[float]:
     then assumed to start cold, with running time 0.
     """
     if len(recordings) > 1 and one_clock(recordings):
-        first, last = (
-            min(r.span[0] for r in recordings),
-            max(r.span[1] for r in recordings),
-        )
+        first, last = (min(r.span[0] for r in recordings), max(r.span[1] for r in recordings))
         zero = 0.0 if 0.0 <= first < last - first else first
         return [r.span[0] - zero for r in recordings]
     return [0.0] * len(recordings)
@@ -658,9 +609,7 @@ def voltage_is_computed(recording: Recording) -> bool:
 
 
 def command_delay_error(view: View, late_s: float) -> Array:
-    """Return the error of the torque because the command in its voltage is not delayed like the
-    angle, N m, shape (m,).
-    """
+    """Return the torque error because the voltage's command is not delayed, N m, shape (m,)."""
     recording = view.recording
     volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
     together = replace(recording, channels={**recording.channels, "voltage": volts})

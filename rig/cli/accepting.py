@@ -10,6 +10,7 @@ import click
 
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
+from rig.common.places import replacing, usable
 from rig.common.yaml_tree import DocumentError, parse
 from rig.config.acceptance import Limit, limits_of
 from rig.config.configuration import located_text, validated
@@ -28,14 +29,15 @@ def accept_run(
     folder: Path, limits: Sequence[Limit], source: str, junit_file: Path | None
 ) -> Acceptance:
     """Judge a run, print the outcome, and write the JUnit file if one is requested."""
-    from rig.results.acceptance.certificate import accept, acceptance_document, write_bytes
+    from rig.results.acceptance.certificate import accept, acceptance_document
     from rig.results.document import text
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         found = accept(folder, limits, source, bar)
     if junit_file is not None:
-        write_bytes(junit_file, found.junit)
+        with usable(junit_file, "written"), replacing(junit_file) as draft:
+            draft.write_bytes(found.junit)
     click.echo(text(acceptance_document(found)))
     return found
 
@@ -65,11 +67,11 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     judged.
     """
 
-    limits, source = _stated_limits(folder, None)
+    limits, source = stated_limits(folder, None)
     if not limits:
         return DONE
     count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
-    click.echo(f"The run is judged by {count}; this may take a minute.")
+    click.echo(f"The run is judged by its completeness and {count}; this may take a minute.")
     try:
         found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:
@@ -82,8 +84,8 @@ _OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin; see :func:`_stated_limits`."""
-    limits, source = _stated_limits(folder, file)
+    """Return the limits for a run and their origin; see :func:`stated_limits`."""
+    limits, source = stated_limits(folder, file)
     if not limits:
         raise InputError(
             f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
@@ -92,7 +94,7 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
     return limits, source
 
 
-def _stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
+def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
     """Return limits and origin: this file, else the file or the sequence of the run."""
     if (stated := _of_file(file)) is not None:
         return stated

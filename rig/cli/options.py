@@ -13,6 +13,9 @@ from rig.common.places import require_file
 from rig.common.text import valid
 
 Decorator = Callable[[Any], Any]
+PATH = click.Path(path_type=Path)  # a file, or a folder
+FILE = click.Path(path_type=Path, dir_okay=False)
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 class Number(click.FloatRange):
@@ -47,15 +50,14 @@ def _writable(context: click.Context, option: click.Parameter, path: Path | None
     return path
 
 
-_FILE = click.Path(path_type=Path, dir_okay=False)
 result_file: Decorator = click.option(
-    "--json", "json_file", metavar="FILE", type=_FILE, callback=_writable, help="Result file."
+    "--json", "json_file", metavar="FILE", type=FILE, callback=_writable, help="Result file."
 )
 own_effects: Decorator = click.option(
     "--effects",
     "effects_file",
     metavar="FILE.py",
-    type=_FILE,
+    type=FILE,
     help="Python file with effects of one's own, which is run.",
 )
 partial: Decorator = click.option(
@@ -74,6 +76,14 @@ in_console: Decorator = click.option(
     is_flag=True,
     help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
 )
+wait: Decorator = click.option(
+    "--wait",
+    "wait_s",
+    metavar="SECONDS",
+    type=Number(min=0.0),
+    default=0.0,
+    help="Time to wait for a bench that another program uses. [default: do not wait]",
+)
 operator_name: Decorator = click.option(
     "--operator",
     "operator_name",
@@ -83,7 +93,7 @@ operator_name: Decorator = click.option(
 )
 identification: Decorator = click.option(
     "--identification",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
     "friction of this result.",
 )
@@ -91,7 +101,7 @@ junit: Decorator = click.option(
     "--junit",
     "junit_file",
     metavar="FILE",
-    type=_FILE,
+    type=FILE,
     callback=_writable,
     help="Also write the acceptance as JUnit XML.",
 )
@@ -105,20 +115,18 @@ first_pass: Decorator = click.option(
 
 def record_file(words: str) -> Decorator:
     """Return a decorator that adds ``--json`` for a copy of the record, as ``json_file``."""
-    path = click.Path(path_type=Path)
+    path = PATH
     return click.option("--json", "json_file", type=path, callback=_writable, help=words)
 
 
 def out_folder(words: str) -> Decorator:
     """Return a decorator that adds ``--out`` for the report folder."""
-    return click.option("--out", type=click.Path(path_type=Path, file_okay=False), help=words)
+    return click.option("--out", type=FOLDER, help=words)
 
 
 def seed(words: str = "Seed of the random generator.") -> Decorator:
     """Return a decorator that adds ``--seed``."""
-    return click.option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=words
-    )
+    return click.option("--seed", type=click.IntRange(min=0), default=0, help=words)
 
 
 simulated_seed = seed("Seed of the simulated bench's noise.")
@@ -136,7 +144,7 @@ def acceptance(default: str) -> Decorator:
     return click.option(
         "--acceptance",
         metavar="FILE",
-        type=_FILE,
+        type=FILE,
         help=f"File of the acceptance limits for a complete run. [default: {default}]",
     )
 

@@ -79,8 +79,7 @@ def _scalar(change: Change) -> str:
 
 
 MOST_CORRECTIONS: Final = 12
-HOMING: Final = "homing"
-"""Name of the step that exists only if a homing is requested."""
+HOMING: Final = "homing"  # name of the step that exists only if a homing is requested
 STILL: Final = "Nothing moves, and the drive stays off."
 Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
@@ -151,22 +150,17 @@ def steps_of(setup: Setup) -> Iterator[Step]:
 
 @dataclass
 class Commissioning:
-    """The result of a commissioning.
+    """The result of a commissioning."""
 
-    Attributes:
-        ending: Kind of the ending; `done` if every step succeeded or was skipped.
-        text: Text of the bench file with all corrections.
-        sessions: Steps of each connection; after a correction, a new connection begins.
-        safe: State in which the drive was left, or None if the drive was never energised.
-        error: A defect of this program, which is raised after all results are stored.
-    """
-
-    ending: Ending
+    ending: Ending  # kind of the ending; `done` if every step succeeded or was skipped
     words: str
-    text: str
+    text: str  # text of the bench file with all corrections
     changes: list[Change] = field(default_factory=list)
+    # Steps of each connection; after a correction, a new connection begins.
     sessions: list[list[StepRecord]] = field(default_factory=list)
+    # State in which the drive was left, or None if the drive was never energised.
     safe: SafeState | None = None
+    # A defect of this program, which is raised after all results are stored.
     error: BaseException | None = None
 
     @property

@@ -25,19 +25,16 @@ from rig.terminal.stop_button import OperatorStopError
 
 SETTLE_S: Final = 0.3
 """Time after the start in which the statusword may still show the state before, s."""
-STILL_S: Final = 0.2
-"""Time, s, for which the joint is monitored after the end of a homing."""
+STILL_S: Final = 0.2  # time, s, for which the joint is monitored after the end of a homing
 IN_PLACE_LIMIT_S: Final = 5.0
 SPARE_S: Final = 20.0
-MOVED_DEG: Final = 0.2
-"""Largest motion of the joint in a homing without motion."""
+MOVED_DEG: Final = 0.2  # largest motion of the joint in a homing without motion
 NEAR_DEG: Final = 1.0
 """Largest distance from the home position after a homing with motion, which brakes there."""
 ZERO_DEG_S: Final = 1.0
 FASTER: Final = 3.0
 """Ratio to the speed limit above which a change of the drive's position is a new zero."""
-ACCELERATION_S: Final = 0.2
-"""Time, s, in which the drive reaches the speed of the homing."""
+ACCELERATION_S: Final = 0.2  # time, s, in which the drive reaches the speed of the homing
 UNSET: Final = (
     "The zero of the drive counts as not set: home again, or leave --home out and give the true "
     "angle (--angle)"

@@ -21,8 +21,7 @@ from rig.wiring.braking import brake
 from rig.wiring.off import Steps
 
 HOLD_S: Final = 0.5
-DRIFT_DEG: Final = 0.2
-"""Largest motion, deg, of a joint that must stand still."""
+DRIFT_DEG: Final = 0.2  # largest motion, deg, of a joint that must stand still
 SILENCES: Final = (2.0, 5.0)
 """Durations for which this program sends nothing, in units of the drive's time-out; after the
 longest duration the drive must be off. The drive is queried only after each duration, because a
@@ -32,8 +31,7 @@ SMALL_DEG: Final = 0.5
 LARGE_DEG: Final = 5.0
 GROWTH: Final = 2.0
 SLOW_DEG_S: Final = 1.0
-MARGIN: Final = 1.2
-"""Ratio of a limit of the speed that would do to the predicted speed."""
+MARGIN: Final = 1.2  # ratio of a limit of the speed that would do to the predicted speed
 LARGE_TOLERANCE: Final = 0.02
 """Relative difference of the encoders' travels that is allowed in the large move."""
 

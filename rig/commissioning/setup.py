@@ -153,16 +153,7 @@ class HomeRequest:
 
 @dataclass
 class Setup:
-    """A connected bench.
-
-    Attributes:
-        own: Limits stored in the drive before the commissioning; None until the limits are read.
-        safe: State in which the drive was left after it was last energised, or in which it was
-            found if it was not off at the start; else None.
-        true_deg: True joint angle as given by the operator, or None if unknown.
-        stiffness_N_m_rad: Joint torque per position error of a drive that did not move the joint
-            within the small travel of the step `signs`; else None.
-    """
+    """A connected bench."""
 
     bench: Bench
     devices: Devices
@@ -171,10 +162,15 @@ class Setup:
     recorder: Recorder
     limits: Limits
     cycle: Cycle
+    # Limits stored in the drive before the commissioning; None until the limits are read.
     own: ServoLimits | None = None
+    # State in which the drive was left after it was last energised, or in which it was found if it
+    # was not off at the start; else None.
     safe: SafeState | None = None
     home: HomeRequest | None = None
-    true_deg: float | None = None
+    true_deg: float | None = None  # true joint angle as given by the operator, or None if unknown
+    # Joint torque per position error of a drive that did not move the joint within the small travel
+    # of the step `signs`; else None.
     stiffness_N_m_rad: float | None = None
 
     @classmethod

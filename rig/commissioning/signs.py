@@ -19,8 +19,7 @@ GROWTH: Final = 1.25
 """Ratio of a limit to the limit before. A joint that breaks away is accelerated by at most a
 quarter of its static friction, and by the difference of static and sliding friction.
 """
-COUNTS: Final = 4.0
-"""Travel, in counts of the motor encoder, that is a motion."""
+COUNTS: Final = 4.0  # travel, in counts of the motor encoder, that is a motion
 DEAD_DEG: Final = 0.1
 """Travel of the joint after which a motor encoder that shows none counts as dead, deg."""
 NOISE: Final = 2.0

@@ -133,7 +133,8 @@ def limits(setup: Setup, step: StepRecord) -> None:
     held, lacks = servo.read_limits(), servo.lacks(setup.bench.cycle_s)
     for row in compare(held, setup.wanted, servo.limit_steps(), servo.limit_places):
         if row.field not in lacks.limits:
-            step.measure(f"{row.name}, {row.objects}", show(row.field, row.first))
+            shown, _, unit = show(row.field, row.first).partition(" ")
+            step.measure(f"{row.name}, {row.objects}", shown, unit)
     only = sorted(lacks.limits)
     step.words = "the limits in the drive are those that were written" + (
         f"; checked by this program only: {', '.join(only)}" if only else ""

@@ -8,14 +8,11 @@ from enum import Enum
 
 
 class InputError(Exception):
-    """A file that the user wrote or named cannot be used; the command line exits with status 2.
-
-    Attributes:
-        problems: All problems found, one line each: ``file:line:column: path: message (got VALUE)``
-            for configuration, ``file: row N: message`` for recordings.
-    """
+    """A file that the user wrote or named cannot be used; the command line exits with status 2."""
 
     def __init__(self, problems: str | Iterable[str]) -> None:
+        # All problems found, one line each: `file:line:column: path: message (got VALUE)` for
+        # configuration, `file: row N: message` for recordings.
         self.problems: tuple[str, ...] = (
             (problems,) if isinstance(problems, str) else tuple(problems)
         )

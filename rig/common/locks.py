@@ -39,20 +39,14 @@ _STEPS: Final = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
 @dataclass(frozen=True)
 class Holder:
-    """A program that holds a lock.
-
-    Attributes:
-        command: Name of the program, such as ``rig run``.
-        what: Locked object: ``bench NAME`` or ``run folder PATH``.
-        since: Time at which the program took the lock, ISO 8601 in UTC.
-    """
+    """A program that holds a lock."""
 
     pid: int
-    command: str
-    what: str
+    command: str  # name of the program, such as `rig run`
+    what: str  # locked object: `bench NAME` or `run folder PATH`
     user: str
     host: str
-    since: str
+    since: str  # time at which the program took the lock, ISO 8601 in UTC
 
     @classmethod
     def here(cls, command: str, what: str) -> Self:
@@ -164,8 +158,7 @@ def _user() -> str:
 
 LOCK_FOLDER: Final = Path("/tmp/loadrig-locks")
 """Folder of the lock files of benches, for all users of this computer."""
-OWNER_FILE: Final = ".owner"
-"""The lock file of a run folder."""
+OWNER_FILE: Final = ".owner"  # the lock file of a run folder
 
 _FOLDER_MODE: Final = 0o1777
 _FILE_MODE: Final = 0o666
@@ -178,27 +171,19 @@ _PAUSE_S: Final = 0.02
 
 @dataclass(frozen=True, order=True)
 class Resource:
-    """A part of a bench that only one program at a time may use.
+    """A part of a bench that only one program at a time may use."""
 
-    Attributes:
-        key: Unique key: the real path of a device, else ``interface:channel``.
-        label: Name for the operator, such as ``port /dev/ttyUSB0``.
-    """
-
-    key: str
-    label: str
+    key: str  # unique key: the real path of a device, else `interface:channel`
+    label: str  # name for the operator, such as `port /dev/ttyUSB0`
 
 
 class Lock:
-    """Locks held by this process; a context manager that releases them at the end.
-
-    Attributes:
-        taken_over: Message on locks left by a dead program, or None if there were none.
-    """
+    """Locks held by this process; a context manager that releases them at the end."""
 
     def __init__(
         self, held: Sequence[_Held] = (), taken_over: str | None = None, owner: Path | None = None
     ) -> None:
+        # Message on locks left by a dead program, or None if there were none.
         self.taken_over = taken_over
         self._held = tuple(held)
         self._owner = owner

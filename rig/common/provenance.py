@@ -72,27 +72,19 @@ def _text(path: Path) -> str | None:
         return None
 
 
-RUN_FILE = "run.json"
-"""Record of a run in its folder."""
+RUN_FILE = "run.json"  # record of a run in its folder
 IDENTIFY_SCHEMA = "loadrig.identify/1"
-RESULT_FILE = "identify.json"
-"""Name of the result file of ``rig identify`` in a run folder."""
+RESULT_FILE = "identify.json"  # name of the result file of `rig identify` in a run folder
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Provenance data in every result file.
-
-    Attributes:
-        inputs: SHA-256 of the input files, by path.
-        seconds: Wall-clock time spent.
-        created: Time of creation, ISO 8601 in UTC.
-    """
+    """Provenance data in every result file."""
 
     seed: int
-    inputs: Mapping[str, str]
-    seconds: float
-    created: str
+    inputs: Mapping[str, str]  # SHA-256 of the input files, by path
+    seconds: float  # wall-clock time spent
+    created: str  # time of creation, ISO 8601 in UTC
     versions: Mapping[str, str]
 
     @classmethod

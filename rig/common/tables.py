@@ -10,8 +10,7 @@ _GAP = "  "
 _LEVELS: Final = "▁▂▃▄▅▆▇█"
 CHANGED: Final = "changed"
 """Finding on a constant whose difference exceeds its uncertainty, in every table."""
-NO_CHANGE: Final = "no change"
-"""Finding on a constant whose difference is within its uncertainty."""
+NO_CHANGE: Final = "no change"  # finding on a constant whose difference is within its uncertainty
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:

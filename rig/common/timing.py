@@ -11,8 +11,7 @@ from typing import Any, Final
 
 EDGES_US: Final = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
 """Upper ends of the recorded bins, microseconds; a further bin is for longer durations."""
-RESOLUTION: Final = 0.01
-"""Greatest relative error of a quantile above 1 us and below 1 s."""
+RESOLUTION: Final = 0.01  # greatest relative error of a quantile above 1 us and below 1 s
 
 
 def _fine_edges() -> Iterator[int]:
@@ -30,15 +29,11 @@ _ENDS: Final = tuple(_FINE_NS.index(1000 * edge) + 1 for edge in EDGES_US)
 
 
 class Histogram:
-    """Histogram of durations, with the longest duration; its memory does not grow.
-
-    Attributes:
-        worst_ns: Longest duration, ns.
-    """
+    """Histogram of durations, with the longest duration; its memory does not grow."""
 
     def __init__(self) -> None:
         self._counts = [0] * (len(_FINE_NS) + 1)
-        self.worst_ns = 0
+        self.worst_ns = 0  # longest duration, ns
 
     @property
     def counts(self) -> list[int]:
@@ -80,25 +75,18 @@ class Histogram:
 
 
 class Timing:
-    """Timing statistics of a run.
-
-    Attributes:
-        lateness: Lateness of cycle starts; by the real clock for a simulated bench in real time.
-        answer: Time from a cycle's start until its sample was received: the sample's age at its
-            check.
-        missed_syncs: Cycles that were skipped because an earlier cycle was more than a period late.
-        lost_servo: Cycles in which the drive's answer was missing or bad.
-        lost_encoder: Cycles in which the joint encoder's answer was missing or bad.
-        oldest_s: The greatest age of the last fresh sample, s.
-    """
+    """Timing statistics of a run."""
 
     def __init__(self) -> None:
+        # Lateness of cycle starts; by the real clock for a simulated bench in real time.
         self.lateness = Histogram()
+        # Time from a cycle's start until its sample was received: the sample's age at its check.
         self.answer = Histogram()
+        # Cycles that were skipped because an earlier cycle was more than a period late.
         self.missed_syncs = 0
-        self.lost_servo = 0
-        self.lost_encoder = 0
-        self.oldest_s = 0.0
+        self.lost_servo = 0  # cycles in which the drive's answer was missing or bad
+        self.lost_encoder = 0  # cycles in which the joint encoder's answer was missing or bad
+        self.oldest_s = 0.0  # the greatest age of the last fresh sample, s
 
     def record(self) -> dict[str, Any]:
         """Return all statistics for ``run.json``."""

@@ -143,7 +143,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             )
     # Such a term is permitted without a known load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
-        (r.known_load or r.exported) and r.role == "fit" for r in campaign.recordings
+        r.known_load and r.role == "fit" for r in campaign.recordings
     ):
         yield (
             ("model",),
@@ -155,16 +155,29 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         for loc, message in _check_recording(recording, campaign.bench):
             yield ("recordings", index, *loc), message
     yield from _check_clock(campaign)
+    yield from _check_units(campaign)
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
-    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings if not r.exported}
+    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings}
     if len(units) > 1:
         yield (
             ("bench",),
             "some recordings contain torque and others only current; add torque_constant, or a "
             "torque channel to all recordings",
         )
+
+
+def _check_units(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
+    """Yield recordings without a unit beside others with one, and parameters stated as both."""
+    unnamed = [k for k, recording in enumerate(campaign.recordings) if not recording.unit]
+    if 0 < len(unnamed) < len(campaign.recordings):
+        yield ("recordings", unnamed[0], "unit"), "other recordings state a unit; state it here too"
+    if both := {*campaign.model.shared} & {*campaign.model.per_unit}:
+        yield ("model", "per_unit"), f"{', '.join(sorted(both))}: either shared or per unit"
+    stated = [key for key in ("shared", "per_unit") if getattr(campaign.model, key)]
+    if stated and unnamed:
+        yield ("model", stated[0]), "needs the key `unit` in the recordings"
 
 
 def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
@@ -210,9 +223,7 @@ def _way(recording: RecordingSection) -> str:
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings for validation if the model would have no working load."""
-    fitted = any(
-        r.role == "fit" and (r.stage == "loaded" or r.exported) for r in campaign.recordings
-    )
+    fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
     if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
@@ -235,15 +246,6 @@ def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
 
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     channels: Mapping[str, ChannelSection] = recording.channels
-    if recording.exported:
-        for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
-            yield (
-                (name,),
-                "a recording without `channels` must be a file of `rig export`, and such a file "
-                f"states its {name} itself; for a file of `rig export` remove `{name}`, for "
-                "another file add `channels`",
-            )
-        return
     if "time" not in channels and recording.rate is None:
         yield ("channels",), "no `time` channel and no `rate`; state the channel or the rate"
     if "time" in channels and recording.rate is not None:
@@ -288,8 +290,6 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             )
 
 
-_BESIDE_EXPORT = {"file", "role", "channels"}
-"""Keys that a recording from a file of `rig export` may state."""
 _UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (
@@ -297,7 +297,7 @@ _UNSIGNED: Mapping[str, str] = {
         "distinguished; remove `current` and add either a signed `torque`, or `voltage` with "
         "bench.resistance and bench.back_emf_constant, from which the signed current "
         "I = (U - Ke omega_motor)/R is computed"
-    ),
+    )
 }
 
 

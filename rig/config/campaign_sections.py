@@ -82,8 +82,7 @@ def _buildable(value: float) -> float:
     return value
 
 
-Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
-"""A constant of a machine, SI."""
+Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]  # a constant of a machine, SI
 
 
 class Measured(float):
@@ -393,6 +392,9 @@ class ModelSection(Schema):
             `load_dependent_friction` (friction grows with the torque of a pendulum).
         fixed: Values of parameters that are not fitted; a value with an uncertainty is a prior,
             which is combined with the estimate from the recordings.
+        shared: With units: parameters that are the same in all units.
+        per_unit: With units: parameters that differ from unit to unit; stated alone, all others are
+            shared. Without either key, no parameter is shared.
     """
 
     friction: Annotated[str, _one_of(LADDER, "friction")] = PAPER_FRICTION
@@ -400,6 +402,9 @@ class ModelSection(Schema):
     fixed: dict[Annotated[str, _one_of(PARAMETERS, "parameter")], KnownNumber] = Field(
         default_factory=dict
     )
+
+    shared: tuple[Annotated[str, _one_of(PARAMETERS, "parameter")], ...] = ()
+    per_unit: tuple[Annotated[str, _one_of(PARAMETERS, "parameter")], ...] = ()
 
     @field_validator("terms")
     @classmethod
@@ -551,6 +556,8 @@ class RecordingSection(Schema):
         hoisted: A known mass that hangs on the joint by a rope.
         constant_torque: Known torque on the joint that does not depend on the angle, N m; a
             positive torque drives the joint forward.
+        unit: Name of the machine, if the recordings are of several of one kind; all recordings
+            state it, or none.
         start: Start time of the file: an ISO time, or seconds since the machine was switched on
             cold. Either all recordings state a start time, or no recording does.
         order: Position of the file in the session, instead of `start`, if only the order is known;
@@ -562,9 +569,7 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`. For a file of `rig export` (csv, mat, mcap, parquet) this key may be
-            left out, because such a file states channels, stage, masses, loads and constants
-            itself.
+            `{column: ...}`.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -574,6 +579,7 @@ class RecordingSection(Schema):
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
+    unit: Annotated[str, Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None
@@ -581,12 +587,12 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[ChannelName, ChannelSection] = Field(default_factory=dict)
+    channels: dict[ChannelName, ChannelSection]
 
-    @property
-    def exported(self) -> bool:
-        """Whether the file must contain its own description, as files of `rig export` do."""
-        return not self.channels
+    @field_validator("unit", mode="before")
+    @classmethod
+    def _named(cls, unit: object) -> object:
+        return str(unit) if type(unit) is int else unit
 
     @property
     def known_load(self) -> bool:

@@ -17,8 +17,7 @@ from rig.config.configuration import Positive, Schema, nearest
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
-NO_DEVICE: Final = "none"
-"""Value of ``device`` with which no data of a drive's maker are used."""
+NO_DEVICE: Final = "none"  # value of `device` with which no data of a drive's maker are used
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 
@@ -35,6 +34,18 @@ class Bus(Schema):
     interface: str = "mock"
     channel: str | None = None
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+
+    @field_validator("interface")
+    @classmethod
+    def _known(cls, name: str) -> str:
+        if name == "mock":
+            return name
+        from can.interfaces import VALID_INTERFACES  # late: a simulated bench needs no adapter
+
+        known = ["mock", "epos_serial", *sorted(VALID_INTERFACES)]
+        if name not in known:
+            raise ValueError(f"unknown interface; {nearest(name, known)}")
+        return name
 
 
 class PositionLoopSection(Schema):

@@ -35,8 +35,7 @@ _Natural = Annotated[int, Field(ge=0)]
 _EXTENDED_BYTES = 3
 """Bytes of data that take as long as the 20 additional bits of an extended frame with bit stuffing.
 """
-Problem = Callable[[Loc, str], str]
-"""Function that formats a problem; see :meth:`rig.config.configuration.Document.problem`."""
+Problem = Callable[[Loc, str], str]  # function that formats a problem; see `problem`
 
 
 class HeldSection(Schema):

@@ -291,10 +291,7 @@ def plant_problems(
             yield ("plant", name), f"unknown key; {nearest(name, known)}{also}"
     for name in known:
         if not plant.get(name):
-            yield (
-                ("plant", name),
-                "missing; write {python: FILE, class: NAME} or {fmu: FILE}",
-            )
+            yield (("plant", name), "missing; write {python: FILE, class: NAME} or {fmu: FILE}")
     for name in _OF_THE_OWN:
         if states("mock", name):
             yield (

@@ -175,10 +175,8 @@ def _same(value: Any) -> tuple[object, Any]:
 
 STATIC: Final = (Path(__file__).parent / "static", SHARED)
 LONGEST_BODY: Final = 8192
-HELLO_S: Final = 5.0
-"""Time for the first message of a WebSocket, which has the token, s."""
-LONGEST_YIELD_S: Final = 0.2
-"""Longest time for which the messages to pages wait for a command, s."""
+HELLO_S: Final = 5.0  # time for the first message of a WebSocket, which has the token, s
+LONGEST_YIELD_S: Final = 0.2  # longest time for which the messages to pages wait for a command, s
 _KINDS: Final = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",

@@ -103,18 +103,12 @@ READ_BYTES = 1 << 19
 
 
 class News(NamedTuple):
-    """Content that was added to a recording.
+    """Content that was added to a recording."""
 
-    Attributes:
-        samples: Arrays of shape (n,), by field of :class:`rig.common.sample.Sample`; empty without
-            samples.
-        events: Events, each with ``time`` and ``event``.
-        more: Whether more content can be read immediately.
-    """
-
+    # Arrays of shape (n,), by field of `Sample`; empty without samples.
     samples: Mapping[str, Array]
-    events: tuple[Mapping[str, Any], ...]
-    more: bool
+    events: tuple[Mapping[str, Any], ...]  # events, each with `time` and `event`
+    more: bool  # whether more content can be read immediately
 
 
 class Growing:
@@ -151,10 +145,8 @@ def _decoded(samples: list[bytes]) -> dict[str, Array]:
     return decode_samples(b"".join(samples), size)
 
 
-BLOCK = 10
-"""Number of samples that are averaged for one point."""
-MOST = 3000
-"""Greatest number of points; beyond this number, every second point is dropped."""
+BLOCK = 10  # number of samples that are averaged for one point
+MOST = 3000  # greatest number of points; beyond this number, every second point is dropped
 _SPEEDS = 121
 
 
@@ -213,8 +205,7 @@ def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
 
 
 EVENTS: Final = 200
-SILENT_S: Final = 1.0
-"""Time without an answer after which a run counts as silent, s."""
+SILENT_S: Final = 1.0  # time without an answer after which a run counts as silent, s
 DRIVE_STATES: Final = {
     0x00: "not ready",
     0x40: "off (switch on disabled)",
@@ -256,16 +247,7 @@ class Reached:
 
 
 class Followed(Reached):
-    """A run that the console follows.
-
-    Attributes:
-        continued_s: Starts of the recordings after the first, on the time axis of the charts, s.
-        values: Value of each channel in the latest sample that was read, or None if it is not
-            known.
-        current: Whether this sample is the newest sample of this program: not while the program
-            connects and its recording does not exist yet, and not while older samples are read.
-        trouble: Reason why the recording cannot be read, or None if it can be read.
-    """
+    """A run that the console follows."""
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
         super().__init__(path, about, number)
@@ -276,10 +258,15 @@ class Followed(Reached):
         self.decimation = Decimation(len(CHANNELS), about["cycle_s"])
         self.torque_speed = TorqueSpeed()
         self.curves: dict[str, Any] | None = None
+        # Value of each channel in the latest sample that was read, or None if it is not known.
         self.values: list[float | None] = [None] * len(CHANNELS)
         self.drive = "not read yet"
+        # Whether this sample is the newest sample of this program: not while the program connects
+        # and its recording does not exist yet, and not while older samples are read.
         self.current = False
+        # Reason why the recording cannot be read, or None if it can be read.
         self.trouble: str | None = None
+        # Starts of the recordings after the first, on the time axis of the charts, s.
         self.continued_s: list[float] = []
         limits = {row["channel"]: row for row in about["limits"]}
         self._channels = [

@@ -111,17 +111,12 @@ def _with_headers(send: Send) -> Send:
 
 
 MOST_OPEN: Final = 64
-MOST_PAGES: Final = 12
-"""Greatest number of open pages with the token."""
+MOST_PAGES: Final = 12  # greatest number of open pages with the token
 MOST_READERS: Final = 6
-MOST_GREETING: Final = 24
-"""Greatest number of WebSockets that have not sent their token yet."""
-YOUNG_S: Final = 1.0
-"""Age up to which a connection without a request stays open, s."""
-YOUNG_SHARE: Final = 4
-"""Multiple of :data:`MOST_OPEN` beyond which young connections are closed too."""
-REQUEST_S: Final = 5.0
-"""Time for the first request of a connection, s."""
+MOST_GREETING: Final = 24  # greatest number of WebSockets that have not sent their token yet
+YOUNG_S: Final = 1.0  # age up to which a connection without a request stays open, s
+YOUNG_SHARE: Final = 4  # multiple of `MOST_OPEN` beyond which young connections are closed too
+REQUEST_S: Final = 5.0  # time for the first request of a connection, s
 BURST: Final = 32
 """Connections accepted before requests are read; below :data:`MOST_OPEN`: commands come first."""
 QUEUE: Final = 1024

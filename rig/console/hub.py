@@ -37,33 +37,23 @@ from rig.terminal.control_socket import (
 
 @dataclass
 class Page:
-    """One open page.
-
-    Attributes:
-        may: Whether the page has the token of this start of the console.
-        run: The run that the user has chosen on the page, or None.
-        kept: The run that the page shows if no run was chosen.
-        own: Whether the page keeps the run ``kept`` after the end of this run, because the page
-            started or commanded the run, or held the controls while the run was in progress.
-        beyond: Number of runs that were known at the end of the run ``kept``; None before the end
-            of that run.
-        started: Folder of the run that was started or continued from the page, until this run is
-            found.
-        before: Number of runs that were known when the run in ``started`` was started.
-        window_s: Width of the charts, s; 0 for the whole run.
-    """
+    """One open page."""
 
     name: str
-    may: bool = False
+    may: bool = False  # whether the page has the token of this start of the console
     key: str = field(default_factory=lambda: secrets.token_hex(16))
     last: int = 0
-    run: str | None = None
-    kept: str | None = None
+    run: str | None = None  # the run that the user has chosen on the page, or None
+    kept: str | None = None  # the run that the page shows if no run was chosen
+    # Whether the page keeps the run `kept` after the end of this run, because the page started or
+    # commanded the run, or held the controls while the run was in progress.
     own: bool = False
+    # Number of runs that were known at the end of the run `kept`; None before the end of that run.
     beyond: int | None = None
+    # Folder of the run that was started or continued from the page, until this run is found.
     started: Path | None = None
-    before: int = 0
-    window_s: float = 30.0
+    before: int = 0  # number of runs that were known when the run in `started` was started
+    window_s: float = 30.0  # width of the charts, s; 0 for the whole run
     pixels: int = 400
 
 
@@ -124,8 +114,7 @@ class Controls:
         return False
 
 
-REPLY_S: Final = 0.25
-"""Time after which a command without an answer is sent again, s."""
+REPLY_S: Final = 0.25  # time after which a command without an answer is sent again, s
 ATTEMPTS: Final = 4
 
 
@@ -259,11 +248,9 @@ class Links:
 TICK_S: Final = 0.1
 _LOOK_S: Final = 0.5
 _ENDED: Final = 5
-_READS: Final = 4
-"""Greatest number of blocks of a recording that are read in one tick."""
+_READS: Final = 4  # greatest number of blocks of a recording that are read in one tick
 _NOTES: Final = 20
-_AGAIN_S: Final = 0.5
-"""Least time after which a run without an answer is asked again, s."""
+_AGAIN_S: Final = 0.5  # least time after which a run without an answer is asked again, s
 
 
 class Questions:
@@ -302,17 +289,13 @@ class Refusal(Exception):
 
 
 class Hub:
-    """The followed runs, and the open pages.
-
-    Attributes:
-        runs: Runs by key, in the order in which they were found.
-        others: Other programs that can move a bench, by key: jogs and commissionings.
-    """
+    """The followed runs, and the open pages."""
 
     def __init__(self, starter: Starter, only: frozenset[str] = frozenset()) -> None:
         self.starter = starter
         self._only = only
-        self.runs: dict[str, Followed] = {}
+        self.runs: dict[str, Followed] = {}  # runs by key, in the order in which they were found
+        # Other programs that can move a bench, by key: jogs and commissionings.
         self.others: dict[str, Reached] = {}
         self.controls = Controls()
         self.notes: list[tuple[int, str]] = []

@@ -29,9 +29,8 @@ from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
 MOST_SHOWN: Final = 300
-_FRESH_S: Final = 3.0
-"""Time for which a list is reused, s."""
-_KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
+_FRESH_S: Final = 3.0  # time for which a list is reused, s
+_HTML: Final = "text/html; charset=utf-8"
 
 
 @dataclass(frozen=True)
@@ -171,19 +170,14 @@ class Recorded:
             return Response(words, status_code=404, media_type="text/plain")
         policy = RUN_SANDBOX if name == REPORT_FILE else SANDBOX
         headers = {"Content-Security-Policy": policy}
-        if name.endswith(".pdf"):
-            # The viewer that is built into a browser does not work in the sandbox.
-            headers["Content-Disposition"] = f'attachment; filename="{name}"'
-        return Response(content, media_type=_KINDS[Path(name).suffix], headers=headers)
+        return Response(content, media_type=_HTML, headers=headers)
 
 
 MOST_COMPARED: Final = 6
 """Greatest number of runs in a comparison: the number of colours of the figure."""
 KEPT: Final = 12
-MAKE_S: Final = 180.0
-"""Longest time, s, in which a page must be made."""
-NICE = 10
-"""Increase of the niceness of the process that makes a page."""
+MAKE_S: Final = 180.0  # longest time, s, in which a page must be made
+NICE = 10  # increase of the niceness of the process that makes a page
 _SHOWN: Final = 2000
 
 
@@ -264,4 +258,4 @@ class Made:
             words = f"no such page; only the latest {KEPT} pages are kept: make the page again"
             return Response(words, status_code=404, media_type="text/plain")
         policy = {"Content-Security-Policy": SANDBOX}
-        return Response(content, media_type=_KINDS[".html"], headers=policy)
+        return Response(content, media_type=_HTML, headers=policy)

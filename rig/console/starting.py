@@ -22,8 +22,7 @@ from rig.config.configuration import names, resolve
 
 COMMAND: Final = (sys.executable, "-c", "from rig.cli.entry import main; main()")
 DRY_RUN_S: Final = 180.0
-_SHOWN: Final = 4000
-"""Number of characters of output that are shown of a run that failed to start."""
+_SHOWN: Final = 4000  # number of characters of output that are shown of a run that failed to start
 _NOT_STARTABLE: Final = frozenset({0, 1})
 _KEPT: Final = 20
 _LONGEST_NAME: Final = 100

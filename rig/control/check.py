@@ -20,8 +20,7 @@ from rig.wiring.off import BEFORE_PROMPT, HANDS_OFF
 from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
-STATED = "*"
-"""Mark of a limit that is stated in the bench file and not read from the drive."""
+STATED = "*"  # mark of a limit that is stated in the bench file and not read from the drive
 _UNSET_RAD = 2000.0 * math.pi
 """Larger values of a drive are no limit: without a configured one, it reports the largest number.
 """

@@ -27,8 +27,7 @@ FAR_SHARE: Final = 0.5
 """Distance from the target at which a joint that moves away ever faster runs away, as a share of
 the limit of the following error; beyond the limit some drives start a ramp that no order ends.
 """
-FIRST_WITHIN_NS: Final = NS // 200
-"""Longest wait for the first cycle of the braking, ns."""
+FIRST_WITHIN_NS: Final = NS // 200  # longest wait for the first cycle of the braking, ns
 
 
 Progress = Callable[[str, int, Sample], None]
@@ -44,16 +43,12 @@ class SampleSink(Protocol):
 
 
 class TripError(Exception):
-    """A sample is outside a limit.
-
-    Attributes:
-        event: The message without the remedy.
-    """
+    """A sample is outside a limit."""
 
     def __init__(self, trip: Trip, explanation: str = "") -> None:
         super().__init__(f"{trip.message}{explanation}")
         self.trip = trip
-        self.event = f"{trip.event}{explanation}"
+        self.event = f"{trip.event}{explanation}"  # the message without the remedy
 
 
 class Cycle:
@@ -63,12 +58,6 @@ class Cycle:
 
     Args:
         limits: Limits that are checked on every sample, until :meth:`use` changes them.
-
-    Attributes:
-        overruns: Number of cycles that started more than a period late.
-        stale: Number of cycles in which a part of the sample was missing.
-        units: Samples that are collected to check the units of the drive; None after the check, and
-            on a bench without constants.
     """
 
     def __init__(
@@ -94,6 +83,8 @@ class Cycle:
         self._limits = self._checkable(limits)
         self._witness: SpeedWitness | None = SpeedWitness(devices.servo, limits.gear_ratio)
         nominal = devices.nominal
+        # Samples that are collected to check the units of the drive; None after the check, and on a
+        # bench without constants.
         self.units = None if nominal is None else MotionWitness(devices.servo, nominal)
         self._latch = Latch()
         self._runaway = Runaway(math.nan)
@@ -106,8 +97,8 @@ class Cycle:
         self._start_grid(self._start_ns)
         self.count = 0
         self._watched = -1
-        self.overruns = 0
-        self.stale = 0
+        self.overruns = 0  # number of cycles that started more than a period late
+        self.stale = 0  # number of cycles in which a part of the sample was missing
         self.timing = Timing()
 
     @property

@@ -28,8 +28,7 @@ SPEED_MARGIN = 2.0
 """Ratio of the speed limit to the requested speed; the margin is for the breakaway."""
 LEAST_LIMIT_DEG_S = 10.0
 """Least speed limit of a jog, deg/s: a joint that breaks away is faster than a slow command."""
-TORQUE_SHARE = 0.6
-"""Limits of torque and current in a jog, as a share of the bench's limits."""
+TORQUE_SHARE = 0.6  # limits of torque and current in a jog, as a share of the bench's limits
 GREATEST_SPEED_SHARE = 0.25
 """Highest permitted speed of a jog, as a share of the bench's speed limit."""
 REST_S = 0.2

@@ -16,8 +16,7 @@ from rig.wiring.devices import Nominal
 
 BLOCK_S: Final = 0.02
 """Time over which samples are averaged, s; the speed of a first pass hardly changes in it."""
-LEAST_RAD: Final = 0.004
-"""Least travel in one direction that is evaluated, rad at the joint."""
+LEAST_RAD: Final = 0.004  # least travel in one direction that is evaluated, rad at the joint
 HINT_COUNTS: Final = 4
 """Least number of different positions of an encoder that an explanation of a trip requires."""
 SENSE: Final = 0.3
@@ -42,23 +41,15 @@ _EMF_INFLATION: Final = 3.0
 
 @dataclass(frozen=True)
 class Motion:
-    """Fresh samples under power, SI units, arrays of shape (n,); motor values at the joint.
-
-    Attributes:
-        motor: Angle of the motor encoder over the gear ratio.
-        joint: Angle of the joint encoder.
-        velocity: Joint speed as the drive reports it.
-        voltage: Motor voltage, NaN if the drive reports none.
-        torque: Motor torque, NaN if the drive reports none beside the current.
-    """
+    """Fresh samples under power, SI units, arrays of shape (n,); motor values at the joint."""
 
     time: Array
-    motor: Array
-    joint: Array
-    velocity: Array
+    motor: Array  # angle of the motor encoder over the gear ratio
+    joint: Array  # angle of the joint encoder
+    velocity: Array  # joint speed as the drive reports it
     current: Array
-    voltage: Array
-    torque: Array
+    voltage: Array  # motor voltage, NaN if the drive reports none
+    torque: Array  # motor torque, NaN if the drive reports none beside the current
 
     @classmethod
     def of(cls, rows: Array) -> Motion:
@@ -323,21 +314,15 @@ class Change:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Two reports, or a report and the bench file, that contradict each other.
-
-    Attributes:
-        factor: Found value over the expected value.
-        changes: Values to set in the bench file; empty if the bench or the drive must be changed.
-        rough: Whether the factor is computed from few counts.
-        open: Whether two factors are possible, both of which ``words`` states.
-    """
+    """Two reports, or a report and the bench file, that contradict each other."""
 
     what: str
-    factor: float
+    factor: float  # found value over the expected value
     words: str
+    # Values to set in the bench file; empty if the bench or the drive must be changed.
     changes: tuple[Change, ...] = ()
-    rough: bool = False
-    open: bool = False
+    rough: bool = False  # whether the factor is computed from few counts
+    open: bool = False  # whether two factors are possible, both of which `words` states
 
     @property
     def above(self) -> bool:

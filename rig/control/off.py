@@ -33,16 +33,14 @@ from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState
 
 SCHEMA: Final = "loadrig.off/1"
-RELEASE_S: Final = 5.0
-"""Time in which a program that was asked to stop must leave the bench, s."""
+RELEASE_S: Final = 5.0  # time in which a program that was asked to stop must leave the bench, s
 HANDOVER_S: Final = 2.0
 """Time, s, in which a guardian must leave the bench: the end of an attempt on a dead line."""
 KILLED_S: Final = 1.0
 """Time, s, in which a killed program is gone, and its guardian has taken the power off."""
 HOLD_S: Final = 2.0
 """Time, s, in which the lock of the bench must be free after all its users have left."""
-PATIENCE_S: Final = 10.0
-"""Time, s, for attempts to reach a drive that does not answer."""
+PATIENCE_S: Final = 10.0  # time, s, for attempts to reach a drive that does not answer
 _LOOK_NS: Final = NS // 50
 _PROC: Final = Path("/proc")
 
@@ -92,16 +90,11 @@ def _target(link: Path) -> str:
 
 @dataclass(frozen=True)
 class User:
-    """A process that used the bench.
-
-    Attributes:
-        command: Name of the command that it runs, else its command line.
-        ended: How it left the bench: ``stopped``, ``handed over``, ``killed`` or ``stays``.
-    """
+    """A process that used the bench."""
 
     pid: int
-    command: str
-    ended: str
+    command: str  # name of the command that it runs, else its command line
+    ended: str  # how it left the bench: `stopped`, `handed over`, `killed` or `stays`
 
 
 @dataclass(frozen=True)

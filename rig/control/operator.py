@@ -12,8 +12,7 @@ from rig.terminal.prompt import Asker, InputEndedError, Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 
-WEIGHT_TOLERANCE = 0.005
-"""Default tolerance of the typed mass, relative to the planned mass."""
+WEIGHT_TOLERANCE = 0.005  # default tolerance of the typed mass, relative to the planned mass
 LEAST_TOLERANCE_KG = 0.001
 """Difference that is always allowed, kg: the resolution of scales; needed for an empty lever."""
 _LOOK_NS = NS // 20

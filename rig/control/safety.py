@@ -20,8 +20,7 @@ from rig.planning.predicted_load import LESS_ANYWHERE
 from rig.wiring.runaway import SIGNS
 
 RUNNING_MASK = 0x6F
-RUNNING = 0x27
-"""Statusword 6041h under mask 6Fh: operation enabled."""
+RUNNING = 0x27  # statusword 6041h under mask 6Fh: operation enabled
 
 
 class Check(Enum):

@@ -60,26 +60,21 @@ DEVICES = ("servo", "encoder", "pressure")
 
 @dataclass(frozen=True)
 class Inputs:
-    """The inputs of a run.
-
-    Attributes:
-        operator: Name of the person who runs the bench, as stated by the user.
-        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
-        resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
-            for a new run.
-        acceptance: File of the limits by which the complete run is judged, or None for the limits
-            in the sequence file.
-    """
+    """The inputs of a run."""
 
     bench: Document[Bench]
     sequence: Document[Sequence]
     seed: int
     realtime: bool
-    operator: str | None = None
+    operator: str | None = None  # name of the person who runs the bench, as stated by the user
     reference: Reference | None = None
     reset_fault: bool = False
+    # Model of the feed-forward torque that the drive adds, or None for none.
     feedforward: Feedforward | None = None
+    # `run.json` of a stopped run to continue at its first unfinished stage, or None for a new run.
     resumed: RunRecord | None = None
+    # File of the limits by which the complete run is judged, or None for the limits in the sequence
+    # file.
     acceptance: GivenFile | None = None
     load: PredictedLoad | None = None
 

@@ -31,6 +31,7 @@ from rig.investigate.experiments import (
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.model_file import model_of, read_result
 
+Trace = tuple[Array, Array, Array, Array]
 BAND = 0.90
 """Share of the samples that the band of a prediction is made to hold."""
 MOTIONS = ("tones", "medium", "ends", "wide-fast")
@@ -76,20 +77,22 @@ class Confirmation:
         band_held: Share of the samples inside the band.
         error_rms: Rms error of the prediction, N m.
         floor_rms: Noise floor, N m.
-        samples: Number of samples.
-        trace: Time, s, prediction, half width and measurement, N m, of the first recording, each of
-            shape (n,).
+        samples: Number of samples that are compared.
+        predicted: Number of samples that were predicted.
+        traces: Name of each recording to its time, s, prediction, half width and measurement, N m,
+            each of shape (n,).
     """
 
     band_held: float
     error_rms: float
     floor_rms: float
     samples: int
-    trace: tuple[Array, Array, Array, Array]
+    predicted: int
+    traces: Mapping[str, Trace]
 
     def record(self) -> dict[str, Any]:
         """Return the confirmation as JSON values."""
-        return dict(plain(self, "trace"))
+        return dict(plain(self, "traces"))
 
 
 def predict(
@@ -166,7 +169,7 @@ def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
     """Compare a prediction, the content of its sealed file, with the recordings of its experiment,
     where both move steadily.
     """
-    traces = []
+    traces: dict[str, Trace] = {}
     found = views(measured.recordings, sealed["bandwidth_Hz"])
     for view, predicted in zip(found, sealed["recordings"], strict=True):
         time, torque, half = (
@@ -175,13 +178,14 @@ def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
         since = view.kept_times - view.time[0]
         moving = np.interp(time, since, view.moving.astype(np.float64)) > 0.999
         seen = np.interp(time, since, view.low_pass(view.torque))
-        traces.append((time[moving], torque[moving], half[moving], seen[moving]))
-    torque, half, seen = (np.concatenate([t[k] for t in traces]) for k in (1, 2, 3))
+        traces[predicted["name"]] = time[moving], torque[moving], half[moving], seen[moving]
+    torque, half, seen = (np.concatenate([t[k] for t in traces.values()]) for k in (1, 2, 3))
     error = seen - torque
     return Confirmation(
         float(np.mean(np.abs(error) <= half)),
         float(np.sqrt(np.mean(error**2))),
         sealed["floor_rms"],
         len(error),
-        traces[0],
+        sum(len(r["time_s"]) for r in sealed["recordings"]),
+        traces,
     )

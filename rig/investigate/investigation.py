@@ -37,6 +37,7 @@ from rig.investigate.confirmation import Confirmation, compare, predict
 from rig.investigate.experiments import SimulatedBench, bench_seconds, weight_changes
 from rig.planning.plan import make_plan
 from rig.results.diagnose.diagnose import Outcome, diagnose_dataset
+from rig.results.run.go_on import NOT_READ_BACK
 from rig.runs.run import load_run
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, Ending
@@ -590,6 +591,16 @@ class Investigation:
 
 def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:
     return Experiment("", "", reason, seconds, changes, purpose=purpose)
+
+
+def drive_after(folder: Path, state: State) -> str:
+    """Return how the last experiment of an investigation left the drive, as text."""
+    runs = [e.run for e in state.experiments if e.sequence and is_file(folder / e.run / RUN_FILE)]
+    if not runs:
+        return "no experiment has begun: this investigation has not energised the drive"
+    off = read_record(folder / runs[-1]).de_energised
+    words = "the drive was read back de-energised" if off else NOT_READ_BACK
+    return f"no experiment is under way; after the last one, {runs[-1]}, {words}"
 
 
 def given_run(folder: Path) -> Experiment:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from identification.diagnosis.result import Verdict as Outcomes
-from identification.plots import investigation as plots
+from identification.plots import mismatch as plots
 from rig.common.tables import number, percent
 from rig.investigate.choice import spoken
 from rig.investigate.confirmation import BAND, Confirmation
@@ -122,14 +122,17 @@ def _sections(
     shown = Verdict(headline, judged.diagnosis.statement, "open" if open_end else tone)
     drawn = [e for e in state.experiments if e.odds]
     caption = "Probability of each hypothesis after each experiment"
-    figure = plots.odds([e.run.partition("-")[0] for e in drawn], [e.odds for e in drawn])
-    yield Section("", (shown, Picture.of("odds", caption, figure, lead=True)))
+    figure = plots.odds(
+        [e.run.partition("-")[0] for e in drawn],
+        [{spoken(n): p for n, p in e.odds.items()} for e in drawn],
+    )
+    yield Section("", (shown, Picture.of("odds", caption, figure)))
     yield Section("Experiments", (_experiments(state), *_reasons(state)))
     yield Section("Odds", (_odds(judged),))
     if confirmation is not None:
         unit = judged.found.baseline.unit
         caption = "Torque predicted before the confirming experiment, and measured in it"
-        picture = Picture.of("sealed", caption, plots.sealed(*confirmation.trace, unit))
+        picture = Picture.of("sealed", caption, plots.sealed(confirmation.traces, unit))
         digest = Note(f"SHA-256 of the prediction: {state.confirmation['predicted_sha256']}")
         yield Section("Sealed prediction", (Paragraph(_confirmed(confirmation)), digest, picture))
     if state.cannot_separate:
@@ -175,7 +178,8 @@ def _odds(judged: Judgement) -> Table:
 
 def _confirmed(found: Confirmation) -> str:
     return (
-        f"The sealed {BAND:.0%} band held {found.band_held:.0%} of {found.samples} samples; error "
+        f"The sealed {BAND:.0%} band held {found.band_held:.0%} of the {found.samples} samples in "
+        f"which the joint moved steadily, of {found.predicted} predicted; error "
         f"{found.error_rms:.3g} N m rms, noise floor {found.floor_rms:.3g} N m."
     )
 

@@ -31,16 +31,19 @@ from rig.investigate.investigation import Investigation, Judgement, State, judge
 from rig.planning.plan import make_plan
 from rig.results.document import Document, Section, Table, provenance_section
 from rig.results.prove.document import shares
-from rig.results.prove.draw import Assigned, draw
+from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
 from rig.results.prove.engine import Engine
 from rig.results.prove.excitation import experiments
-from rig.results.prove.run import FAMILIES, INVESTIGATION, ROWS, Proof, diagnosis_seed
+from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
 from rig.results.prove.score import LEVEL, REFUSED, STRONG
-from rig.results.prove.simulate import campaign, reference_of, strength
-from rig.results.prove.truth import unseal
+from rig.results.prove.simulate import campaign, reference_of, strength, truth_of
+from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
 from rig.runs.run_record import Ending
 
 BENCH, FIRST = "practical", "figure10"
+SHARES: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
+ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in sizes)
+"""Effects that are in every run of a bench, not in one recording of a campaign alone."""
 BUDGET_MIN = 40.0
 SCHEMA = "loadrig.prove_investigate/1"
 Said = tuple[str, list[str]]
@@ -121,11 +124,32 @@ class SimulatedInvestigation(Investigation):
         return Ending.DONE.value
 
 
+def begin(out: Path, rigs: int, seed: int) -> Proof:
+    """Draw and seal all machines, or continue a proof that was begun with the same settings."""
+    settings = {"rigs": rigs, "seed": seed, "investigate": True}
+    file, sealed = out / PROOF_FILE, []
+    begun = seals_begun(file, settings) if is_file(file) else {}
+    for n, assigned in enumerate(_assigned(rigs, seed), start=1):
+        where = place(out / "machines", f"{PREFIX}{n:04d}")
+        if where.name in begun:
+            sealed.append(where._replace(digest=begun[where.name]))
+        else:
+            truth = truth_of(draw(*assigned, (seed, n)))
+            sealed.append(seal_truth(where, n, truth, repeated_salt(seed, n)))
+    (out / ROWS).mkdir(parents=True, exist_ok=True)
+    write_json(file, {"settings": settings, "seals": {s.name: s.digest for s in sealed}})
+    return Proof(out, seed, tuple(sealed))
+
+
+def _assigned(rigs: int, seed: int) -> list[Assigned]:
+    return assignment(rigs, seed, SHARES, ON_A_BENCH)
+
+
 def work(
     proof: Proof, engine: Engine, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """Investigate and score the machines that have no row yet; return all rows in order."""
-    assigned = FAMILIES[INVESTIGATION].assignment(len(proof.rigs), proof.seed)
+    assigned = _assigned(len(proof.rigs), proof.seed)
     todo = [
         Trial(n, given, rig.campaign.parent, rig.truth, rig.digest)
         for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
@@ -134,7 +158,7 @@ def work(
     done = len(proof.rigs) - len(todo)
     for row in engine.each(partial(prove_trial, seed=proof.seed), todo):
         done += 1
-        write_json(proof.out / ROWS / f"{row['rig']:04d}.json", row)
+        write_json(proof.out / ROWS / f"{PREFIX}{row['rig']:04d}.json", row)
         progress(f"machine {row['rig']} investigated", done / len(proof.rigs))
     return [read_json(proof.file(ROWS, rig)) for rig in proof.rigs]
 

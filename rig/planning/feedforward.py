@@ -32,20 +32,16 @@ CATCH_UP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Feedforward:
-    """Identified parameters of a bench for the feed-forward torque.
+    """Identified parameters of a bench for the feed-forward torque."""
 
-    Attributes:
-        values: Values of the parameters by name, SI; the load parameters may be missing. A rise of
-            friction toward rest that the identification did not determine is zero.
-        left_open: Parameters of the rise of friction toward rest that the identification did not
-            determine.
-    """
-
+    # Values of the parameters by name, SI; the load parameters may be missing. A rise of friction
+    # toward rest that the identification did not determine is zero.
     values: Mapping[str, float]
     alpha: float
     moment_per_kg: float
     source: str
     sha256: str
+    # Parameters of the rise of friction toward rest that the identification did not determine.
     left_open: tuple[str, ...] = ()
 
     @property
@@ -69,26 +65,16 @@ class Feedforward:
 
 @dataclass(frozen=True)
 class Offsets:
-    """Torque offsets of one stage, one per cycle, shape (n,) each.
+    """Torque offsets of one stage, one per cycle, shape (n,) each."""
 
-    Attributes:
-        torque: Torque of the commanded motion, N m.
-        stiffness: Torque per angle error, N m/rad; fades out while the command rests.
-        damping: Torque per speed error, N m s/rad; fades out while the command rests.
-        angle: Commanded joint angle that belongs to the sample before the cycle, rad.
-        speed: Commanded joint speed that belongs to the last measured speed before the cycle,
-            rad/s.
-        reach: Greatest stiffness torque, N m.
-        limit: Limit on the magnitude of the sent torque, N m.
-    """
-
-    torque: Array
-    stiffness: Array
-    damping: Array
-    angle: Array
+    torque: Array  # torque of the commanded motion, N m
+    stiffness: Array  # torque per angle error, N m/rad; fades out while the command rests
+    damping: Array  # torque per speed error, N m s/rad; fades out while the command rests
+    angle: Array  # commanded joint angle that belongs to the sample before the cycle, rad
+    # Commanded joint speed that belongs to the last measured speed before the cycle, rad/s.
     speed: Array
-    reach: float
-    limit: float
+    reach: float  # greatest stiffness torque, N m
+    limit: float  # limit on the magnitude of the sent torque, N m
 
 
 class Compensator:

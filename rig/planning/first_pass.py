@@ -11,8 +11,7 @@ import numpy as np
 from rig.config.sequence import Array, FirstPass, StageSection, excitation
 from rig.planning.limits import Limits
 
-LONGEST_RAMP_SHARE = 0.25
-"""Longest fade-in or fade-out, as a share of the duration of the pass."""
+LONGEST_RAMP_SHARE = 0.25  # longest fade-in or fade-out, as a share of the duration of the pass
 GROWTH = 2.0
 """Factor on the amplitude from pass to pass while the joint, as with soft gains, does not move."""
 

@@ -26,21 +26,14 @@ _ANGLES = 20001
 
 @dataclass(frozen=True)
 class FlowLaw:
-    """The discrete-time controller for one cycle time, SI.
+    """The discrete-time controller for one cycle time, SI."""
 
-    Attributes:
-        gain: Valve angle per unit of ln(p/p_c), rad.
-        integral: Integral gain per cycle, as a share of the gain.
-        share: Weight of a new reading in the low-pass filter.
-        step: Greatest change in one cycle, rad.
-    """
-
-    gain: float
-    integral: float
-    share: float
+    gain: float  # valve angle per unit of ln(p/p_c), rad
+    integral: float  # integral gain per cycle, as a share of the gain
+    share: float  # weight of a new reading in the low-pass filter
     least: float
     most: float
-    step: float
+    step: float  # greatest change in one cycle, rad
 
 
 @dataclass(frozen=True)

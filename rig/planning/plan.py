@@ -21,12 +21,10 @@ from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_obje
 from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
-SAMPLES_PER_PERIOD = 20
-"""Least number of control cycles per period of a tone, for a smooth sine."""
+SAMPLES_PER_PERIOD = 20  # least number of control cycles per period of a tone, for a smooth sine
 APPROACH_SPEED_SHARE = 0.25
 """Speed of the move to the start of a stage, as a share of the speed limit."""
-HOLD_S = 0.1
-"""Rest at the last target before the drive is de-energised, s."""
+HOLD_S = 0.1  # rest at the last target before the drive is de-energised, s
 _LIMIT_NAMES = tuple(SequenceLimits.model_fields)
 _LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
 TIME_LIMIT_SHARE = 1.5
@@ -99,9 +97,7 @@ def make_plan(
     first_pass: bool | None = None,
     feedforward: Feedforward | None = None,
 ) -> Plan:
-    """Return the plan of a run: compute all targets, and check them against the limits of the
-    bench.
-    """
+    """Return the plan of a run: all targets, checked against the limits of the bench."""
     if feedforward is not None:
         require_torque_offset(bench)
     values, problems = _tighten(sequence, bench.value)

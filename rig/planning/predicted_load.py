@@ -115,10 +115,8 @@ def _model(
     return FrictionModel(values, alpha, arm, moment_per_kg(bench), source, measured, missing)
 
 
-WARNING_SHARE = 0.8
-"""Predicted peak, as a share of its limit, above which the program warns."""
-LOOP_S = 0.005
-"""Time in which a drive with stiff gains follows a step of the speed, s."""
+WARNING_SHARE = 0.8  # predicted peak, as a share of its limit, above which the program warns
+LOOP_S = 0.005  # time in which a drive with stiff gains follows a step of the speed, s
 FIRST_PASS = "first pass"
 LESS = "use less weight, or a slower or smaller motion"
 _HIGHER = "a greater limit_share of first_pass in the sequence"
@@ -177,16 +175,24 @@ class PredictedLoad:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, or above them by the paper's friction."""
-        found: list[str] = []
+        """Messages on peaks near their limits, or above them by the paper's friction: one message
+        for all peaks with the same remedy.
+        """
+        found: dict[tuple[str, str], list[str]] = {}
         for peak in self.peaks:
-            measured = self._measured(peak)
-            if peak.share > 1.0:
-                texts = [] if measured else list(_above(peak, 1.0, "above"))
-            else:
-                texts = list(_above(peak, WARNING_SHARE, f"more than {WARNING_SHARE:.0%} of"))
-            found += [text if measured else f"{text}; {_FROM_PAPER}" for text in texts]
-        return found
+            measured, above = self._measured(peak), peak.share > 1.0
+            if above and measured:
+                continue
+            share, words = (
+                (1.0, "above") if above else (WARNING_SHARE, f"above {WARNING_SHARE:.0%} of")
+            )
+            less = _remedy(peak) if measured else f"{_remedy(peak)}; {_FROM_PAPER}"
+            if exceeding := ", ".join(_exceeding(peak, share)):
+                found.setdefault((words, less), []).append(f"{_where(peak)}: {exceeding}")
+        return [
+            f"predicted peaks {words} their limits: {'; '.join(peaks)}; {less}"
+            for (words, less), peaks in found.items()
+        ]
 
     def require_within(self, sequence: Document[Sequence]) -> None:
         """Refuse (InputError) a run with a peak from measured friction above its limit."""
@@ -207,8 +213,11 @@ class PredictedLoad:
 
     def _above_limits(self) -> Iterator[tuple[PredictedPeak, str]]:
         for peak in self.peaks:
-            if self._measured(peak):
-                yield from ((peak, text) for text in _above(peak, 1.0, "above"))
+            if self._measured(peak) and (exceeding := ", ".join(_exceeding(peak, 1.0))):
+                yield (
+                    peak,
+                    f"{_where(peak)}: predicted peak above its limit: {exceeding}; {_remedy(peak)}",
+                )
 
     def _measured(self, peak: PredictedPeak) -> bool:
         """Return whether the friction of the stage of a peak was measured on this bench."""
@@ -220,20 +229,22 @@ class PredictedLoad:
         return self.model.friction_measured(loaded)
 
 
-def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
-    first = peak.part == FIRST_PASS
-    where, less = (
-        (f"{peak.stage}, {peak.part}", f"{LESS}, or {_HIGHER}") if first else (peak.stage, LESS)
-    )
+def _where(peak: PredictedPeak) -> str:
+    return f"{peak.stage}, {peak.part}" if peak.part == FIRST_PASS else peak.stage
+
+
+def _remedy(peak: PredictedPeak) -> str:
+    return f"{LESS}, or {_HIGHER}" if peak.part == FIRST_PASS else LESS
+
+
+def _exceeding(peak: PredictedPeak, share: float) -> Iterator[str]:
+    """Yield the quantities of a peak that exceed a share of their limits."""
     for name, value, limit, unit in (
         ("torque", peak.torque_N_m, peak.torque_limit_N_m, "N m"),
         ("current", peak.current_A, peak.current_limit_A, "A"),
     ):
         if value > share * limit:
-            yield (
-                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit "
-                f"{limit:.4g} {unit}; {less}"
-            )
+            yield f"{name} {value:.4g} {unit} (limit {limit:.4g} {unit})"
 
 
 def predicted_peaks(plan: Plan, bench: Bench, model: FrictionModel) -> list[PredictedPeak]:

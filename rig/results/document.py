@@ -30,15 +30,11 @@ _ELSEWHERE = "give --out or --json another place"
 
 @dataclass(frozen=True)
 class Table:
-    """A table with text cells.
-
-    Attributes:
-        right: Indices of the columns of numbers.
-    """
+    """A table with text cells."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    right: tuple[int, ...]
+    right: tuple[int, ...]  # indices of the columns of numbers
 
 
 @dataclass(frozen=True)
@@ -123,18 +119,13 @@ Block = Table | Note | Paragraph | Items | Verdict | Picture | Section | SideByS
 
 @dataclass(frozen=True)
 class Document:
-    """Output of a command as a summary and in full.
-
-    Attributes:
-        summary: Summary for the terminal; blank lines separate its sections.
-        sections: Full content for the page; empty if there is no page.
-        facts: Name and value of the facts at the top of the page, such as bench, date and operator.
-    """
+    """Output of a command as a summary and in full."""
 
     title: str
     subtitle: str
-    summary: tuple[Section, ...]
-    sections: tuple[Section, ...] = ()
+    summary: tuple[Section, ...]  # summary for the terminal; blank lines separate its sections
+    sections: tuple[Section, ...] = ()  # full content for the page; empty if there is no page
+    # Name and value of the facts at the top of the page, such as bench, date and operator.
     facts: tuple[tuple[str, str], ...] = ()
 
     def pictures(self) -> Iterator[Picture]:

@@ -16,15 +16,12 @@ import numpy as np
 from identification.recording import Array
 from identification.signals import quantum
 
-AGREE = 0.02
-"""Age of the encoder's samples, in periods, up to which they are simultaneous."""
+AGREE = 0.02  # age of the encoder's samples, in periods, up to which they are simultaneous
 _SHARE = 0.01
 """Share of samples that may be older than ``AGREE``, so that single late stamps have no effect."""
 _BLOCKS = 500
-_LEAST = 5.0
-"""Percentile of a block's ages that is its least age, robust to early stamps."""
-_FILLED = 3
-"""Most encoder samples in a row that were overwritten and are interpolated."""
+_LEAST = 5.0  # percentile of a block's ages that is its least age, robust to early stamps
+_FILLED = 3  # most encoder samples in a row that were overwritten and are interpolated
 
 
 def taken_at(reference: Array, stamps: Array) -> Array:

@@ -14,25 +14,17 @@ from numpy.typing import NDArray
 
 from identification.recording import Array
 
-KEPT = 4096
-"""Number of intervals that are kept of each length."""
+KEPT = 4096  # number of intervals that are kept of each length
 _ROOM = 2 * KEPT
 
 
 class Slice(NamedTuple):
-    """Consecutive intervals of one length.
+    """Consecutive intervals of one length."""
 
-    Attributes:
-        level: Exponent of the length: an interval has 2^level cycles.
-        first: Number of the first interval, which begins at ``first`` times its length.
-        low: Minima, shape (channels, n); NaN for an interval without samples.
-        high: Maxima, in the form of ``low``.
-    """
-
-    level: int
-    first: int
-    low: Array
-    high: Array
+    level: int  # exponent of the length: an interval has 2^level cycles
+    first: int  # number of the first interval, which begins at `first` times its length
+    low: Array  # minima, shape (channels, n); NaN for an interval without samples
+    high: Array  # maxima, in the form of `low`
 
 
 class Decimation:

@@ -41,10 +41,8 @@ from rig.runs.mcap.reader import START, DamageError, Message, Tail, first_metada
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 
-Run = tuple[Path, RunRecord]
-"""Folder and record of a run."""
-INTERFACE = "can0"
-"""Name of the bus in a candump log."""
+Run = tuple[Path, RunRecord]  # folder and record of a run
+INTERFACE = "can0"  # name of the bus in a candump log
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 

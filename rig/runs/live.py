@@ -54,17 +54,13 @@ NAMES: Final = frozenset({HOST, "localhost"})
 """Accepted names of this computer in the field ``Host``. A request with another name may come from
 a web page whose owner makes this name point to this computer (DNS rebinding).
 """
-APP: Final = "https://app.foxglove.dev"
-"""Origin of Foxglove in a browser."""
+APP: Final = "https://app.foxglove.dev"  # origin of Foxglove in a browser
 PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 MOST_CLIENTS: Final = 16
-_REQUEST_S: Final = 5.0
-"""Greatest time from the connection of a client to its request, s."""
+_REQUEST_S: Final = 5.0  # greatest time from the connection of a client to its request, s
 _READ_BYTES: Final = 1 << 16
-_LONGEST_MESSAGE: Final = 1 << 16
-"""Greatest length of a message of a client, characters."""
-_POLL_S: Final = 0.05
-"""Period at which new data of the recording are read, s."""
+_LONGEST_MESSAGE: Final = 1 << 16  # greatest length of a message of a client, characters
+_POLL_S: Final = 0.05  # period at which new data of the recording are read, s
 _CLOCK_NS: Final = 20_000_000
 """Period, in ns of the recording's time, at which this time is sent to the client."""
 _DATA: Final = struct.Struct("<BIQ")
@@ -162,17 +158,12 @@ def _json_without_nan(data: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Offer:
-    """Recording that is served, and how it is served.
-
-    Attributes:
-        name: Name of the source that clients show.
-        token: Token that an address must contain, or None for no token.
-        last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
-    """
+    """Recording that is served, and how it is served."""
 
     recording: Path
-    name: str
-    token: str | None
+    name: str  # name of the source that clients show
+    token: str | None  # token that an address must contain, or None for no token
+    # Length of the recorded part that a new subscriber gets, s, or None for all.
     last_s: float | None = None
 
 

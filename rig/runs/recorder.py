@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from drivers.interfaces import RawFrame
 
 FLUSH_NS = 100_000_000
-LOOK_NS = 500_000_000
-"""Time between two checks that the file is still at its place, ns of run time."""
+LOOK_NS = 500_000_000  # time between two checks that the file is still at its place, ns of run time
 
 
 _FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
@@ -137,9 +136,7 @@ class Recorder:
             self._require_in_place()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
-        """Record frames from outside the control cycle, and pass them to the operating system
-        immediately.
-        """
+        """Record frames from outside the control cycle, and pass them on immediately."""
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():

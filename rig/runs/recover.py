@@ -42,20 +42,13 @@ _MEDIA = {".json": "application/json", ".yaml": "application/yaml"}
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a recovery.
+    """Result of a recovery."""
 
-    Attributes:
-        damage: Message on each damaged file, which begins with the name of the file.
-        record: ``run.json`` after the recovery.
-        changed: Whether a file was written.
-        taken_over: Program that had left the folder locked, or None for none.
-    """
-
-    damage: tuple[str, ...]
+    damage: tuple[str, ...]  # message on each damaged file, which begins with the name of the file
     samples: int
-    record: RunRecord
-    changed: bool
-    taken_over: str | None = None
+    record: RunRecord  # `run.json` after the recovery
+    changed: bool  # whether a file was written
+    taken_over: str | None = None  # program that had left the folder locked, or None for none
 
 
 def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
@@ -224,22 +217,14 @@ _ATTACHED = {BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT}
 
 @dataclass(frozen=True)
 class Resumption:
-    """Inputs of a resumed run.
+    """Inputs of a resumed run."""
 
-    Attributes:
-        record: ``run.json``, completed.
-        bench: The bench file of the run, which is unchanged.
-        sequence: The sequence file of the run, which is unchanged.
-        mended: Messages on recordings whose writer died.
-        died: Whether the writer of the last recording died, so that the drive's watchdog stopped
-            the drive.
-    """
-
-    record: RunRecord
-    bench: Document[Bench]
-    sequence: Document[SequenceFile]
+    record: RunRecord  # `run.json`, completed
+    bench: Document[Bench]  # the bench file of the run, which is unchanged
+    sequence: Document[SequenceFile]  # the sequence file of the run, which is unchanged
     stage: int
-    mended: tuple[str, ...]
+    mended: tuple[str, ...]  # messages on recordings whose writer died
+    # Whether the writer of the last recording died, so that the drive's watchdog stopped the drive.
     died: bool
 
 

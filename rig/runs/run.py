@@ -26,10 +26,8 @@ from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentReco
 if TYPE_CHECKING:
     from rig.config.bench import Bench
 
-LEAST_DRIFT_PPM = 1.0
-"""Least drift that is reported, ppm; drifts of crystals are 20 to 100 ppm."""
-LATE_PERIODS = 1.0
-"""Number of periods after which an answer counts as late."""
+LEAST_DRIFT_PPM = 1.0  # least drift that is reported, ppm; drifts of crystals are 20 to 100 ppm
+LATE_PERIODS = 1.0  # number of periods after which an answer counts as late
 
 
 def drift_ppm(reference: Array, other: Array) -> float | None:
@@ -190,10 +188,8 @@ def _gather(
 
 AVERAGED = frozenset({"current", "voltage"})
 """Channels whose samples are means over the cycle that ends at their time."""
-PARTIAL = " (partial)"
-"""Suffix of the name of an unfinished excitation."""
-LEAST_SAMPLES = 2
-"""Least number of fresh samples for a recording from an unfinished excitation."""
+PARTIAL = " (partial)"  # suffix of the name of an unfinished excitation
+LEAST_SAMPLES = 2  # least number of fresh samples for a recording from an unfinished excitation
 
 
 RESERVE_FILE = ".reserve"
@@ -201,8 +197,7 @@ RESERVE_FILE = ".reserve"
 RESERVED_BYTES = 1 << 20
 CYCLE_BYTES = 400
 """Greatest size of a recorded cycle; measured: 220 bytes over CAN, 330 over serial."""
-_MARGIN_BYTES = 16 << 20
-"""Space for the page, results and ``run.json``."""
+_MARGIN_BYTES = 16 << 20  # space for the page, results and `run.json`
 
 
 def require_space(path: Path, cycles: float) -> None:

@@ -40,8 +40,7 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
-_ADDED = {"gas_generator": None}
-"""Constants that ``run.json`` of versions without hot firings lacks."""
+_ADDED = {"gas_generator": None}  # constants that `run.json` of versions without hot firings lacks
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)} - {"supply_voltage"}
 """Constants that every record states; those of earlier versions have no voltage of the supply."""

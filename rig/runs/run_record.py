@@ -20,8 +20,7 @@ FEEDFORWARD_INPUT = "feedforward.json"
 """Name, as input and attachment, of the identification behind the torque offsets."""
 ACCEPTANCE_INPUT = "acceptance.yaml"
 """Name, as input of a run and as attachment, of the file of limits given with ``--acceptance``."""
-DIED = "died"
-"""State of a recording whose writer died."""
+DIED = "died"  # state of a recording whose writer died
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """Validator with which a record is read back; the creation of a record does not validate it."""
 Load = Literal["unloaded", "loaded", "hot_fire"]
@@ -270,20 +269,13 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Weighing:
-    """Data of one weight check.
+    """Data of one weight check."""
 
-    Attributes:
-        stage: Name of the stage.
-        confirmed_kg: Mass on the lever as confirmed by the operator.
-        verdict: Verdict by friction.
-        measured_kg: Mass that the measured friction implies, or None if it could not be measured.
-        sigma_kg: Standard error of the measured mass, without the error of the reference.
-        message: Text with the remedy.
-    """
-
-    stage: str
-    confirmed_kg: float
-    verdict: Verdict
+    stage: str  # name of the stage
+    confirmed_kg: float  # mass on the lever as confirmed by the operator
+    verdict: Verdict  # verdict by friction
+    # Mass that the measured friction implies, or None if it could not be measured.
     measured_kg: float | None
+    # Standard error of the measured mass, without the error of the reference.
     sigma_kg: float | None
-    message: str
+    message: str  # text with the remedy

@@ -25,7 +25,6 @@ from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import ANGLE_TIME, RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.runs.alignment import aligned
-from rig.runs.exported import read_back, sidecar
 from rig.sources.channels import read_channels
 from rig.sources.columns import unit_row_doubts
 from rig.sources.formats import FORMATS, open_table, unknown_format
@@ -118,10 +117,11 @@ def _starts(
 
 
 def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
-    """Return a problem for each recording that begins before the end of the preceding recording."""
+    """Return a problem for each recording that begins before the unit's preceding one ends."""
     problems = []
-    for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
-        if other.span[0] <= one.span[1]:
+    order = sorted(placed, key=lambda item: (item[0].unit, item[0].span))
+    for (one, _), (other, index) in pairwise(order):
+        if other.unit == one.unit and other.span[0] <= one.span[1]:
             problems.append(
                 document.problem(
                     ("recordings", index, "start"),
@@ -138,8 +138,7 @@ LEAST_JITTER = 0.005
 """Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
 MOST_OFF = 0.25
 """Greatest mean deviation of neighbouring stamps from the grid, in periods, as by a lost sample."""
-WINDOW = 101
-"""Number of neighbouring stamps over which the deviation from the grid is averaged."""
+WINDOW = 101  # number of neighbouring stamps over which the deviation from the grid is averaged
 SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
 counts as right.
@@ -259,6 +258,7 @@ def build(
         uncertainties={**unsure, **section.uncertainties()},
         controller=section.controller.controller() if section.controller else None,
         role=section.role,
+        unit=section.unit,
         averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
         source=str(file),
         sha256=digest,
@@ -465,8 +465,8 @@ def _on_even_stamps(recording: Recording) -> Recording:
     return replace(recording, channels=channels, notes=(*others, note))
 
 
-def load_source(path: Path, *, partial: bool = False) -> Dataset:
-    """Load a run folder or a campaign file."""
+def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Dataset:
+    """Load a run folder or a campaign file; with ``units``, also recordings of several machines."""
     _require_visible(path)
     if is_file(path / "run.json"):
         # Imported here, because recordings of a campaign do not need the reader of run folders.
@@ -494,14 +494,16 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
     campaign = document.value
     bench = campaign.bench.bench()
     problems: list[str] = []
+    names = list(dict.fromkeys(r.unit for r in campaign.recordings))
+    if len(names) > 1 and not units:
+        raise InputError(
+            f"{path}: the recordings are of {len(names)} units, {', '.join(names[:3])}, ...; only "
+            "`rig identify` takes several units; give a campaign with the recordings of one"
+        )
     read: list[Read] = []
     for file, index, section in _expand(document, problems):
         try:
-            read.append(
-                _exported(file, section, document, index)
-                if section.exported
-                else build(file, section, bench, document, index)
-            )
+            read.append(build(file, section, bench, document, index))
         except InputError as error:
             problems.extend(error.problems)
     if problems:
@@ -525,32 +527,6 @@ def _require_visible(path: Path) -> None:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be read: {reason}") from error
-
-
-def _exported(
-    file: Path, section: RecordingSection, document: Document[Campaign], index: int
-) -> Read:
-    """Read a file of ``rig export``; what the campaign states replaces its constants and role."""
-    given = document.value.bench
-    bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
-    with usable(file, "read"):
-        found = read_back(file, format_of(file), bench)
-    if found is None:
-        raise InputError(
-            document.problem(
-                ("recordings", index),
-                "`channels` is missing; only a file of `rig export` needs no channels, and "
-                f"{file.name} is not such a file (an exported CSV file needs "
-                f"{sidecar(file).name} beside it)",
-            )
-        )
-    unsure = given.uncertainties()
-    for k, one in enumerate(found):
-        kept = {n: v for n, v in one.uncertainties.items() if n.partition(".")[2] not in bench}
-        role = section.role if "role" in section.model_fields_set else one.role
-        found[k] = replace(one, role=role, uncertainties={**kept, **unsure})
-    first, last = (min(r.time[0] for r in found), max(r.time[-1] for r in found))
-    return Read(tuple(found), float(first), float(last), section, index)
 
 
 def _expand(

@@ -52,8 +52,7 @@ from rig.sources.text import encoding_of, open_text
 from rig.wiring.connect import eds_path, never_opened
 from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
-ERROR_FLAG = 0x20000000
-"""Flag that SocketCAN sets in the identifier of an error frame."""
+ERROR_FLAG = 0x20000000  # flag that SocketCAN sets in the identifier of an error frame
 _CANDUMP = re.compile(
     r"\((\d+)(\.\d+)?\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"((?:#[0-9A-Fa-f])?(?:[0-9A-Fa-f]{2})*|[Rr]\d?)(\s+[RTrt])?"
@@ -173,17 +172,11 @@ Key = tuple[str, int]
 
 @dataclass(frozen=True)
 class Frames:
-    """All frames of one identifier on one bus.
+    """All frames of one identifier on one bus."""
 
-    Attributes:
-        stamps: Time since the first frame of the file, s, shape (n,).
-        data: Data bytes, zero beyond the length of each frame, shape (n, longest).
-        lengths: Number of data bytes of each frame, shape (n,).
-    """
-
-    stamps: Array
-    data: NDArray[np.uint8]
-    lengths: NDArray[np.intp]
+    stamps: Array  # time since the first frame of the file, s, shape (n,)
+    data: NDArray[np.uint8]  # data bytes, zero beyond the length of each frame, shape (n, longest)
+    lengths: NDArray[np.intp]  # number of data bytes of each frame, shape (n,)
 
 
 def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
@@ -300,29 +293,24 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class BusSignal:
-    """One signal of a CAN message.
-
-    Attributes:
-        positions: Numbers of the bits in the frame, least significant first; bit 0 is the lowest
-            bit of the first byte.
-        signed: Whether the raw value is in two's complement.
-        real: Whether the raw value is a number by IEEE 754.
-        low: Least value that the source allows, or None if the source states no range.
-        selector: The multiplexer that determines whether the signal is in a frame, or None for a
-            signal that is in every frame.
-        pages: Raw values of the selector with which the signal is in the frame.
-    """
+    """One signal of a CAN message."""
 
     name: str
+    # Numbers of the bits in the frame, least significant first; bit 0 is the lowest bit of the
+    # first byte.
     positions: Sequence[int]
-    signed: bool = False
-    real: bool = False
+    signed: bool = False  # whether the raw value is in two's complement
+    real: bool = False  # whether the raw value is a number by IEEE 754
     factor: float = 1.0
     offset: float = 0.0
     unit: str = ""
+    # Least value that the source allows, or None if the source states no range.
     low: float | None = None
     high: float | None = None
+    # The multiplexer that determines whether the signal is in a frame, or None for a signal that is
+    # in every frame.
     selector: BusSignal | None = None
+    # Raw values of the selector with which the signal is in the frame.
     pages: frozenset[int] = frozenset()
 
     def present(self, frames: Frames) -> Mask:
@@ -595,8 +583,7 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
         yield dataclasses.replace(message, signals=tuple(signals))
 
 
-STAMPS = "time"
-"""Name of the column of a message's time stamps."""
+STAMPS = "time"  # name of the column of a message's time stamps
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
 _DESTINATION_FORMATS = 240

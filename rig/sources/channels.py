@@ -123,8 +123,7 @@ def _rate(stamps: Array) -> float:
     return 1.0 / period if period > 0 else 0.0
 
 
-POWERS = range(8, 33)
-"""Widths of counters that are recognised, bits."""
+POWERS = range(8, 33)  # widths of counters that are recognised, bits
 CONVERTED_UNITS = (1e-3, 1e-6)
 """Units, in seconds, of a 32-bit counter of time that the logger has converted to seconds:
 milliseconds and microseconds. Overflows of shorter counters are not searched in converted time
@@ -137,8 +136,7 @@ WHOLE_TOLERANCE = 1e-3
 """Greatest distance from an integer at which a value divided by the file's scale is a count."""
 ORDINARY_SHARE = 0.125
 """Greatest step between overflows, as a share of the modulus; larger steps have no sure sign."""
-TIME_PERIODS = 100.0
-"""Longest time step at an overflow, in median periods."""
+TIME_PERIODS = 100.0  # longest time step at an overflow, in median periods
 SURE_SHARE = 0.01
 """Greatest uncertainty of a measured modulus, relative to it, at which a width in bits is sure."""
 POSITIONS = frozenset({"angle", "motor_angle"})
@@ -207,17 +205,11 @@ SLOPE_SAMPLES = 20
 
 
 class Turn(NamedTuple):
-    """The change after which a column starts again, in units of the column.
+    """The change after which a column starts again, in units of the column."""
 
-    Attributes:
-        after: The change, measured at the jumps and rounded within its uncertainty.
-        uncertainty: Uncertainty of the change.
-        times: Number of jumps.
-    """
-
-    after: float
-    uncertainty: float
-    times: int
+    after: float  # the change, measured at the jumps and rounded within its uncertainty
+    uncertainty: float  # uncertainty of the change
+    times: int  # number of jumps
 
     def agrees(self, modulus: float) -> bool:
         """Return whether the column surely starts again after this change and no other."""

@@ -14,13 +14,7 @@ from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
 from rig.common.places import usable
 from rig.config.campaign_sections import ReadSection
-from rig.sources.channels import (
-    POSITIONS,
-    on_one_time,
-    starts_again,
-    unwrapped,
-    unwrapped_counts,
-)
+from rig.sources.channels import POSITIONS, on_one_time, starts_again, unwrapped, unwrapped_counts
 from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
 from rig.sources.formats import FORMATS, open_table, unknown_format
 from rig.sources.plausible import findings

@@ -16,8 +16,7 @@ from rig.sources.table import Array, Table, heard, library, open_binary, seconds
 
 TIME_MASTER = 1
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
-_LINEAR = {3: 0, 4: 1}
-"""Type number of the linear conversion, by version of the format."""
+_LINEAR = {3: 0, 4: 1}  # type number of the linear conversion, by version of the format
 
 
 class _Channel(NamedTuple):
@@ -202,8 +201,7 @@ def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
     return float(conversion.a), float(conversion.b)
 
 
-_FRACTION_S = 2.0**-64
-"""Value of one unit of the fractional part of a time stamp, s."""
+_FRACTION_S = 2.0**-64  # value of one unit of the fractional part of a time stamp, s
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription")
 _UNSUPPORTED = "Unsupported scale type"
 

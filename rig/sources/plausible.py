@@ -26,8 +26,7 @@ STILL_LEVELS = 8
 """Greatest number of values of a position at rest, where an encoder may flicker between counts."""
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
-RELATED = 0.9
-"""Least magnitude of the correlation of two angles of one motion."""
+RELATED = 0.9  # least magnitude of the correlation of two angles of one motion
 RATIO_TOLERANCE = 0.05
 """Relative deviation of the measured from the declared gear ratio above which a note results."""
 
@@ -214,8 +213,7 @@ AGREEMENT = 0.9
 """Correlation of speed and derivative above which the ratio of the two is meaningful."""
 BOTH_WAYS = 0.1
 """Least share of the motion in each direction that the check of the current's sign requires."""
-ALIKE = 1.5
-"""Greatest ratio of the efforts in the two directions of a log of magnitudes."""
+ALIKE = 1.5  # greatest ratio of the efforts in the two directions of a log of magnitudes
 FAR = 100.0
 """Distance of an outlier from its neighbours, over the greatest such distance of the others."""
 OUTLIERS = 3

@@ -18,20 +18,15 @@ REPEATED_SHARE = 0.01
 """Greatest share of samples with repeated time stamps that are dropped with a note."""
 MISSING_SHARE = 0.05
 """Greatest share of missing samples of a channel that are interpolated with a note."""
-MISSING_RUN = 5
-"""Greatest number of successive missing samples that are interpolated."""
-GAP_PERIODS = 5.0
-"""Length of a time step, in median periods, above which the recording is split."""
+MISSING_RUN = 5  # greatest number of successive missing samples that are interpolated
+GAP_PERIODS = 5.0  # length of a time step, in median periods, above which the recording is split
 MIN_SAMPLES = 50
-UNEVEN_SHARE = 0.05
-"""Relative range (5 to 95 %) of the sample period above which a note results."""
-UNEVEN = "uneven sampling kept as recorded"
-"""Beginning of the note on uneven sampling."""
+UNEVEN_SHARE = 0.05  # relative range (5 to 95 %) of the sample period above which a note results
+UNEVEN = "uneven sampling kept as recorded"  # beginning of the note on uneven sampling
 PERIODS_S = (2e-6, 0.5)
 """Median sample periods, s, of a drive's log; beyond, the time has another unit."""
 TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-USUAL_PERIODS_S = (4e-5, 0.5)
-"""Least and greatest sample period that a unit must give to be named."""
+USUAL_PERIODS_S = (4e-5, 0.5)  # least and greatest sample period that a unit must give to be named
 
 Mask = NDArray[np.bool_]
 
@@ -46,14 +41,10 @@ class UnusableError(Exception):
 
 @dataclass(frozen=True)
 class Timing:
-    """The rows of a time base that are used, and their division into pieces.
+    """The rows of a time base that are used, and their division into pieces."""
 
-    Attributes:
-        keep: Mask of the rows that are used, shape (n,), or None for all rows.
-        pieces: (start, stop) of each piece without a gap, as numbers of the used rows.
-    """
-
-    keep: Mask | None
+    keep: Mask | None  # mask of the rows that are used, shape (n,), or None for all rows
+    # (start, stop) of each piece without a gap, as numbers of the used rows.
     pieces: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
 

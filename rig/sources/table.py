@@ -26,27 +26,23 @@ class Table(ABC):
 
     A reader may raise anything if its file is damaged; :func:`rig.sources.formats.open_table`
     returns tables whose errors name file and remedy.
-
-    Attributes:
-        names: Column names in file order; an empty string for a column without a name.
-        units: Units as the file states them, in column order; empty if the file states no units.
-        bases: Number of the time base of each column, in column order; empty if all columns have
-            the same rows.
-        base_names: Name of each time base, for messages.
-        base: Time base whose rows :meth:`place` counts.
-        counts: Factor and offset of the columns that the file stores as value = factor x whole
-            number + offset, by column; columns of whole numbers need no entry.
-        remedy: What the user can do about a damaged file.
     """
 
     path: Path
+    # Column names in file order; an empty string for a column without a name.
     names: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    # Units as the file states them, in column order; empty if the file states no units.
     units: tuple[str, ...] = ()
+    # Number of the time base of each column, in column order; empty if all columns have the same
+    # rows.
     bases: tuple[int, ...] = ()
-    base_names: tuple[str, ...] = ()
-    base: int = 0
+    base_names: tuple[str, ...] = ()  # name of each time base, for messages
+    base: int = 0  # time base whose rows `place` counts
+    # Factor and offset of the columns that the file stores as value = factor x whole number +
+    # offset, by column; columns of whole numbers need no entry.
     counts: Mapping[int, tuple[float, float]] = MappingProxyType({})
+    # What the user can do about a damaged file.
     remedy: str = "check that the file was copied completely, or save it again"
 
     def read(self, columns: Sequence[int]) -> list[Array]:
@@ -130,8 +126,7 @@ def format_of(path: Path) -> str:
     )
 
 
-EXACT = 2**53
-"""Greatest integer up to which doubles represent every integer exactly."""
+EXACT = 2**53  # greatest integer up to which doubles represent every integer exactly
 _LARGEST = 2**63 - 1
 _UNIT_S = {"D": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -201,8 +196,7 @@ def _seconds(values: NDArray[Any]) -> tuple[Array, str]:
     return seconds, note
 
 
-_MOST_WORDS = 200
-"""Greatest length of a library's warning that is shown to the user, characters."""
+_MOST_WORDS = 200  # greatest length of a library's warning that is shown to the user, characters
 
 
 def library(name: str, path: Path, format_name: str, extra: str) -> Any:

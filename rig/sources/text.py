@@ -24,8 +24,7 @@ from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
 from rig.sources.table import EXACT, Array, Table, open_binary
 
-BLANKS = " "
-"""Symbol for the delimiter of aligned columns: any number of blanks or tabs."""
+BLANKS = " "  # symbol for the delimiter of aligned columns: any number of blanks or tabs
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
 DAY_NS = 86_400 * 10**9
 """Least value of a time with a date, ns; a time of day without a date is smaller."""
@@ -199,8 +198,7 @@ def nanoseconds(cell: str) -> int | None:
     return seconds * 10**9 + int((fraction or "0").ljust(9, "0"))
 
 
-_MOST_DIGITS = 300
-"""Number of digits up to which a double represents every integer exactly."""
+_MOST_DIGITS = 300  # number of digits up to which a double represents every integer exactly
 _HEAD_LINES = 6
 """Number of lines with content at the start of the file from which the layout is detected."""
 
@@ -467,8 +465,7 @@ def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
 LONGEST_LIST = 64
 """Greatest length of a list whose elements become columns; longer lists are left out."""
 _STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"}, {"seconds", "nanos"})
-_LARGEST = 2**64
-"""Integers with at least this magnitude are not read as numbers."""
+_LARGEST = 2**64  # integers with at least this magnitude are not read as numbers
 _DATE_LENGTHS = range(8, 41)
 
 
@@ -554,8 +551,7 @@ def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
 
 
 _DEEPEST = 16
-_FEWEST = 2
-"""Least number of values with which a list counts as a column."""
+_FEWEST = 2  # least number of values with which a list counts as a column
 
 
 _Rows = tuple[str, Sequence[Mapping[str, float]]]

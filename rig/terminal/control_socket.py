@@ -25,8 +25,7 @@ from drivers.clock import NS, Clock, RealClock
 from rig.common.text import valid
 from rig.terminal.stop_button import StopButton
 
-VERSION: Final = 1
-"""Version of the messages; a program of another version only watches."""
+VERSION: Final = 1  # version of the messages; a program of another version only watches
 LONGEST_BYTES: Final = 4096
 REPLY_BYTES: Final = 65_536
 LONGEST_TEXT: Final = 200
@@ -49,19 +48,13 @@ class Command(Enum):
 
 @dataclass(frozen=True)
 class Order:
-    """A command that was read from a message.
-
-    Attributes:
-        number: Monotonic time at which the command was sent, ns.
-        who: Sender of the command, as text.
-        prompt: Number of the prompt that ``text`` answers; 0 for none.
-    """
+    """A command that was read from a message."""
 
     command: Command
     run: str
-    number: int
-    who: str
-    prompt: int = 0
+    number: int  # monotonic time at which the command was sent, ns
+    who: str  # sender of the command, as text
+    prompt: int = 0  # number of the prompt that `text` answers; 0 for none
     text: str = ""
 
     def encode(self) -> bytes:
@@ -180,14 +173,11 @@ def require_own_folder(folder: Path) -> None:
         )
 
 
-_AT_ONCE: Final = 8
-"""Greatest number of messages that are read between two cycles."""
-_TOLD: Final = 40
-"""Number of the latest messages to the operator that are kept."""
+_AT_ONCE: Final = 8  # greatest number of messages that are read between two cycles
+_TOLD: Final = 40  # number of the latest messages to the operator that are kept
 _LONGEST_TOLD: Final = 800
 """Number of characters of a message that are kept, so that all messages fit into one datagram."""
-_PEERS: Final = 8
-"""Greatest number of programs that are informed of the end of the run."""
+_PEERS: Final = 8  # greatest number of programs that are informed of the end of the run
 
 
 class Topic(Enum):
@@ -202,10 +192,6 @@ class ControlSocket:
 
     Args:
         about: Data that do not change during the run: bench, limits, folder.
-
-    Attributes:
-        run: Value that identifies this run in commands.
-        left_s: Returns the expected remaining time in motion, s.
 
     Raises:
         OSError: The socket cannot be made.
@@ -222,8 +208,9 @@ class ControlSocket:
         self._stop = stop
         self._say = say
         self._clock = clock or RealClock()
-        self.run = secrets.token_hex(16)
+        self.run = secrets.token_hex(16)  # value that identifies this run in commands
         self._about = {"version": VERSION, "run": self.run, "pid": os.getpid(), **about}
+        # Returns the expected remaining time in motion, s.
         self.left_s: Callable[[], float] = lambda: 0.0
         self._topic, self._since = Topic.PAUSE, 0
         self._state: dict[str, Any] = {

@@ -165,8 +165,7 @@ def _shown(error: UnicodeError) -> tuple[bytes, int]:
     return bytes(found), error.end
 
 
-_PERIOD_S: Final = 0.1
-"""Shortest time between two showings of one kind of work."""
+_PERIOD_S: Final = 0.1  # shortest time between two showings of one kind of work
 
 
 class ShareBar:

@@ -20,8 +20,7 @@ from drivers.clock import NS, Clock, RealClock
 
 QUEUE_BYTES: Final = 1 << 20
 """Size of the largest queue for a blocked reader, bytes; further output is dropped."""
-DRAIN_S: Final = 5.0
-"""Time, s, to wait for a stalled terminal after the drive is off."""
+DRAIN_S: Final = 5.0  # time, s, to wait for a stalled terminal after the drive is off
 STATUS_NS: Final = NS // 4
 """Time between two status lines, ns: 80 columns four times a second fit 9600 baud."""
 _CHUNK: Final = 512

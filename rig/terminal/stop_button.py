@@ -50,20 +50,16 @@ class StopButton:
 
     A context manager; outside the main thread, where signals cannot be caught, only the methods set
     the flags.
-
-    Attributes:
-        cause: Source of the first request, as text.
-        pausing: Whether a pause at the next stage boundary was requested.
-        listen: Function that takes commands from another source, such as the control socket, and
-            acts on this button, without waiting; called whenever the button is read. None without
-            another source.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda words: None) -> None:
         self.pressed = False
         self.presses = 0
-        self.cause = ""
-        self.pausing = False
+        self.cause = ""  # source of the first request, as text
+        self.pausing = False  # whether a pause at the next stage boundary was requested
+        # Function that takes commands from another source, such as the control socket, and acts on
+        # this button, without waiting; called whenever the button is read. None without another
+        # source.
         self.listen: Callable[[], None] | None = None
         self._tell = tell
         self._raise_at_once = False

@@ -25,8 +25,7 @@ FALSE_ALARM = 1e-4
 """Probability that half cycles with independent normal errors and no change give an alarm."""
 LEAST_SHARE = 2.0 * TOLERANCE
 """Smallest change of the load that must be detected, as a share of the mass."""
-BETTER = 3.0
-"""Least ratio of the squared errors of a smooth drift to those of a step."""
+BETTER = 3.0  # least ratio of the squared errors of a smooth drift to those of a step
 SHORTEST_SHARE = 0.75
 """Least distance of a half cycle over the median; shorter ones, as of a fade-in, are slower."""
 FEWEST_HALF_CYCLES = 4
@@ -37,17 +36,12 @@ WANTED_PIECES, MOST_PIECES = 24, 4
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the load within a stage.
+    """A change of the load within a stage."""
 
-    Attributes:
-        mass_kg: Change of the mass, kg; negative if weight was taken off. Without a reference its
-            magnitude is a lower bound, because the whole friction is then taken as that of the
-            weight.
-        sigma_kg: Standard error of ``mass_kg`` by the scatter of the half cycles.
-    """
-
+    # Change of the mass, kg; negative if weight was taken off. Without a reference its magnitude is
+    # a lower bound, because the whole friction is then taken as that of the weight.
     mass_kg: float
-    sigma_kg: float
+    sigma_kg: float  # standard error of `mass_kg` by the scatter of the half cycles
     half_cycle: int
     half_cycles: int
     time_s: float

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from rig.planning.plan import Plan, PlannedStage
     from rig.planning.reference import Reference
 
-EDGES = np.geomspace(2e-3, 4.0, 67)
-"""Edges of the speed bins, rad/s, the same for all motions."""
+EDGES = np.geomspace(2e-3, 4.0, 67)  # edges of the speed bins, rad/s, the same for all motions
 SPEED_WINDOW_S = 0.006
 """Time over which speed is computed, s: shorter than the slips of a loaded joint (20 ms)."""
 SLOWEST_SHARE = 0.2
@@ -35,17 +34,11 @@ FEWEST_SAMPLES = 100
 
 @dataclass(frozen=True)
 class FrictionLevel:
-    """Measured friction against speed.
+    """Measured friction against speed."""
 
-    Attributes:
-        speed: Mean speed in each bin, rad/s, shape (66,); 0 in empty bins.
-        torque: Mean friction torque in each bin, N m, shape (66,).
-        path: Distance moved in each bin, rad, shape (66,), which is the weight of the bin.
-    """
-
-    speed: Array
-    torque: Array
-    path: Array
+    speed: Array  # mean speed in each bin, rad/s, shape (66,); 0 in empty bins
+    torque: Array  # mean friction torque in each bin, N m, shape (66,)
+    path: Array  # distance moved in each bin, rad, shape (66,), which is the weight of the bin
 
 
 def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLevel | None:
@@ -79,8 +72,7 @@ def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLeve
 
 TOLERANCE = 0.075
 """Tolerance of the mass as a share; the least error that must be detected is twice this."""
-EMPTY_TOLERANCE_KG = 1.0
-"""Largest measured mass, kg, with which an empty lever counts as empty."""
+EMPTY_TOLERANCE_KG = 1.0  # largest measured mass, kg, with which an empty lever counts as empty
 UNCERTAINTY_SHARE = 0.4
 """Largest standard error, as a share of the tolerance, for which the check can decide."""
 

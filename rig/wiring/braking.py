@@ -76,10 +76,7 @@ def _rows(state: State, **others: State) -> Mapping[tuple[State, Event], State]:
 
 TRANSITIONS: Final[Mapping[tuple[State, Event], State]] = {
     **_rows(
-        State.ORDERED,
-        CYCLE_FAILED=State.REPEATED,
-        OPERATES=State.REFUSING,
-        IGNORED=State.SILENT,
+        State.ORDERED, CYCLE_FAILED=State.REPEATED, OPERATES=State.REFUSING, IGNORED=State.SILENT
     ),
     **_rows(State.REPEATED, OPERATES=State.REFUSING, IGNORED=State.SILENT),
     **_rows(State.REQUESTED, OPERATES=State.REFUSING),

@@ -34,11 +34,11 @@ from drivers.mock.bench import (
 )
 from drivers.mock.drive import Rating, SimulatedEposPort
 from drivers.mock.encoder import SimulatedAmt21
-from drivers.mock.makes import described_drive
 from drivers.mock.plant.effects.own import own_torques
 from drivers.mock.plant.hosted import FmuPlant, PlantFile, python_plant
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
+from drivers.mock.traits import described_drive
 from drivers.mock.wires.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
 from drivers.units import EncoderScales
@@ -155,8 +155,7 @@ NO_BUS = (
     "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
     "`practical`, or add a bus"
 )
-_SPEED_SHARE = 2.0
-"""Fastest plausible speed of the joint, in units of the limit of the bench file."""
+_SPEED_SHARE = 2.0  # fastest plausible speed of the joint, in units of the limit of the bench file
 Hang = Callable[[float], None]
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 """Function that gets a simulated bench before its bus is opened; returns the host's clock."""

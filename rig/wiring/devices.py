@@ -37,35 +37,28 @@ class Nominal:
 
 @dataclass(frozen=True)
 class Devices:
-    """The devices of a run.
-
-    Attributes:
-        hang: Function that puts a mass in kg on a simulated lever, or None if a person does.
-        pacer: Real clock that slows simulated time to real time; None to run on the link's clock
-            alone.
-        observer: Called with stage name and phase at the start of every phase.
-        ignite: Function that ignites a simulated gas generator, or None if a person does.
-        guard: Process that stops a drive without a watchdog when this program dies, or None if
-            there is none.
-        nominal: Constants of the bench file with which motions are compared, or None for no
-            comparison.
-        suspension: Detects that this computer slept; None in simulated time.
-        awake: Why this computer may sleep during the run; empty if it does not.
-    """
+    """The devices of a run."""
 
     link: Link
     servo: Servo
     encoder: Encoder
+    # Function that puts a mass in kg on a simulated lever, or None if a person does.
     hang: Callable[[float], None] | None = None
+    # Real clock that slows simulated time to real time; None to run on the link's clock alone.
     pacer: Clock | None = None
+    # Called with stage name and phase at the start of every phase.
     observer: Callable[[str, Phase], None] | None = None
+    # Process that stops a drive without a watchdog when this program dies, or None if there is
+    # none.
     guard: Guard | None = None
     pressure: PressureTransmitter | None = None
+    # Function that ignites a simulated gas generator, or None if a person does.
     ignite: Callable[[], None] | None = None
     lock: Lock | None = None
+    # Constants of the bench file with which motions are compared, or None for no comparison.
     nominal: Nominal | None = None
-    suspension: Suspension | None = None
-    awake: str = ""
+    suspension: Suspension | None = None  # detects that this computer slept; None in simulated time
+    awake: str = ""  # why this computer may sleep during the run; empty if it does not
 
     def off_proof(self, limits: Limits) -> OffProof:
         """Return an observer that proves that the drive of a bench with these limits is off."""

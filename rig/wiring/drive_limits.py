@@ -20,22 +20,15 @@ _STAYING = frozenset({5, 6, 7, 8})
 
 @dataclass(frozen=True)
 class Row:
-    """Comparison of one limit, in SI units.
-
-    Attributes:
-        objects: Objects in which the drive holds the limit.
-        first: The limit under test, or None for no limit.
-        second: The limit that ``first`` must not exceed.
-        looser: Whether ``first`` is looser than ``second``.
-    """
+    """Comparison of one limit, in SI units."""
 
     name: str
-    objects: str
+    objects: str  # objects in which the drive holds the limit
     field: str
     unit: str
-    first: float | None
-    second: float | None
-    looser: bool
+    first: float | None  # the limit under test, or None for no limit
+    second: float | None  # the limit that `first` must not exceed
+    looser: bool  # whether `first` is looser than `second`
 
 
 SPEED_UNIT: Final = (

@@ -55,8 +55,7 @@ REPORT_FILE: Final = "guardian.json"
 READY: Final = b"ready\n"
 ALIVE: Final = b"alive\n"
 TOOK_OVER: Final = b"took over\n"
-SILENCE_S: Final = 0.2
-"""Default time without a sign of life after which the guardian acts, s."""
+SILENCE_S: Final = 0.2  # default time without a sign of life after which the guardian acts, s
 HAND_OVER: Final = getattr(signal, "SIGUSR1", signal.SIGTERM)
 """Signal by which `rig off` asks the guardian to leave the drive to it."""
 MODULE: Final = "rig.wiring.guardian"
@@ -64,8 +63,7 @@ _PAUSE_NS: Final = NS // 5
 """Pause between two attempts to stop the drive, ns: on a lost port an attempt fails at once."""
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
-_REMIND_S: Final = 60.0
-"""Time between two messages of a guardian that goes on trying, s."""
+_REMIND_S: Final = 60.0  # time between two messages of a guardian that goes on trying, s
 _TRYING: Final = (
     "; the guardian goes on trying until the drive is off, and opens the port again when the "
     "adapter is back; `rig off` takes over from it"
@@ -85,24 +83,15 @@ class Cause(Enum):
 
 @dataclass
 class Ward:
-    """Data that the guardian has received from the other program.
+    """Data that the guardian has received from the other program."""
 
-    Attributes:
-        drive: Data to reach the drive: ``name``, ``port``, ``baud``, ``node``, ``eds`` and
-            ``scales``.
-        folder: Folder for the report, or None for no report.
-        armed: Whether the drive may be under power.
-        limit_s: Longest silence of the other program while armed, s.
-        left: Whether the other program ended without having taken the power off.
-        handed_over: Whether `rig off` has asked for the drive.
-    """
-
+    # Data to reach the drive: `name`, `port`, `baud`, `node`, `eds` and `scales`.
     drive: Mapping[str, Any] = field(default_factory=dict)
-    folder: Path | None = None
-    armed: bool = False
-    limit_s: float = SILENCE_S
-    left: bool = False
-    handed_over: bool = False
+    folder: Path | None = None  # folder for the report, or None for no report
+    armed: bool = False  # whether the drive may be under power
+    limit_s: float = SILENCE_S  # longest silence of the other program while armed, s
+    left: bool = False  # whether the other program ended without having taken the power off
+    handed_over: bool = False  # whether `rig off` has asked for the drive
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:

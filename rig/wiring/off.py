@@ -31,20 +31,14 @@ def words_of(error: BaseException) -> str:
 
 
 class Steps:
-    """Runs steps in order, and stores their errors.
-
-    Attributes:
-        problems: Text of each error.
-        unforeseen: Exceptions other than device errors, storage errors and Ctrl-C, each once.
-        interrupted: Whether Ctrl-C interrupted a step.
-        cut: Why the power was cut instead of a ramp; empty if it was not.
-    """
+    """Runs steps in order, and stores their errors."""
 
     def __init__(self) -> None:
-        self.problems: list[str] = []
+        self.problems: list[str] = []  # text of each error
+        # Exceptions other than device errors, storage errors and Ctrl-C, each once.
         self.unforeseen: list[BaseException] = []
-        self.interrupted = False
-        self.cut = ""
+        self.interrupted = False  # whether Ctrl-C interrupted a step
+        self.cut = ""  # why the power was cut instead of a ramp; empty if it was not
 
     def attempt(self, step: Callable[[], object]) -> BaseException | None:
         """Run one step; store its error, if any, and return it."""
@@ -79,28 +73,22 @@ class Steps:
         return self.result(servo.state)[0]
 
 
-WINDOW_S: Final = 0.05
-"""Shortest time, s, over which current and motion are observed."""
+WINDOW_S: Final = 0.05  # shortest time, s, over which current and motion are observed
 LEAST_READINGS: Final = 8
-PATIENCE_S: Final = 2.0
-"""Longest time, s, for which a joint may coast after the power went off."""
+PATIENCE_S: Final = 2.0  # longest time, s, for which a joint may coast after the power went off
 TURN_WINDOWS: Final = 2
 """Windows in succession in which a joint must rest: about a turning point one seems to rest."""
-STILL_WINDOWS: Final = 4
-"""The same number for a joint that was seen moving."""
+STILL_WINDOWS: Final = 4  # the same number for a joint that was seen moving
 DECAY_WINDOWS: Final = 3
 """Windows after which no current may flow in a motor at rest; it decays in milliseconds."""
 REQUEST_INTERVAL_NS: Final = NS // 200
-OFFSET_SHARE: Final = 0.02
-"""Greatest zero error of a current sensor, in units of the rated current."""
+OFFSET_SHARE: Final = 0.02  # greatest zero error of a current sensor, in units of the rated current
 DRIFT_SHARE: Final = 0.005
 """Greatest change of this error during a session, in units of the rated current."""
 REST_SHARE: Final = 0.005
 """Greatest speed of a joint at rest, in units of the speed limit of the bench."""
-REST_RAD_S: Final = 0.01
-"""Greatest speed of a joint at rest, rad/s, if no speed limit is known."""
-STEPS: Final = 2.0
-"""Units by which a reading at rest may change."""
+REST_RAD_S: Final = 0.01  # greatest speed of a joint at rest, rad/s, if no speed limit is known
+STEPS: Final = 2.0  # units by which a reading at rest may change
 _FAILURES: Final = 3
 BEFORE_PROMPT: Final = "before the weight prompt"
 HANDS_OFF: Final = (
@@ -111,23 +99,17 @@ HANDS_OFF: Final = (
 
 @dataclass(frozen=True)
 class Proof:
-    """What was seen of a drive that should be off.
+    """What was seen of a drive that should be off."""
 
-    Attributes:
-        state: State that the drive reports; None if it could not be read.
-        current_A: Motor current, A: the mean of the window, or the rms value if this is larger
-            because the current alternates; None if the drive reports none.
-        motion_rad_s: Speed of the joint in the window, by the encoder that moved faster; None if no
-            encoder gave an angle.
-        doubt: Why the drive does not count as off; empty if it is off.
-        joint_read: Whether the joint encoder gave the angles of the window; None if it was not
-            observed.
-    """
-
-    state: ServoState | None
+    state: ServoState | None  # state that the drive reports; None if it could not be read
+    # Motor current, A: the mean of the window, or the rms value if this is larger because the
+    # current alternates; None if the drive reports none.
     current_A: float | None = None
+    # Speed of the joint in the window, by the encoder that moved faster; None if no encoder gave an
+    # angle.
     motion_rad_s: float | None = None
-    doubt: str = ""
+    doubt: str = ""  # why the drive does not count as off; empty if it is off
+    # Whether the joint encoder gave the angles of the window; None if it was not observed.
     joint_read: bool | None = None
 
     @property
@@ -183,9 +165,6 @@ class OffProof:
         encoder: The joint encoder, or None to observe the motor alone.
         speed_limit_rad_s: Speed limit of the bench, at the joint; NaN if it is not known.
         current_limit_A: Current limit of the bench, for a drive whose rated current is not known.
-
-    Attributes:
-        zero_A: Reading of the current sensor without current, or None before the first proof.
     """
 
     def __init__(
@@ -198,6 +177,7 @@ class OffProof:
     ) -> None:
         self._servo, self._encoder, self._clock = servo, encoder, clock
         self._speed_limit, self._current_limit = speed_limit_rad_s, current_limit_A
+        # Reading of the current sensor without current, or None before the first proof.
         self.zero_A: float | None = None
         self._noise_A = 0.0
         self._flowed = ""

@@ -19,10 +19,8 @@ from drivers.errors import DeviceError
 
 REACTION: Final = 2
 """Number of samples until the ramp shows: the first contains the order, in the second it acts."""
-NOISE: Final = 4.0
-"""Ratio of a change of the speed that is not noise to the median change."""
-PAST: Final = 32
-"""Number of samples from which the noise of the speeds is found."""
+NOISE: Final = 4.0  # ratio of a change of the speed that is not noise to the median change
+PAST: Final = 32  # number of samples from which the noise of the speeds is found
 VOTES: Final = 2
 """Number of speeds in one sample, or of samples in succession with one speed, that show a runaway.
 One wrong bit changes one speed, in two samples with opposite signs.
@@ -41,20 +39,14 @@ class RunawayError(DeviceError):
 
 
 class Seen(NamedTuple):
-    """The joint in one sample.
-
-    Attributes:
-        speed_rad_s: Joint speed as the drive reports it, rad/s.
-        drive_rad: Joint angle by the encoder of the drive, rad.
-        joint_rad: Joint angle by the joint encoder, rad; NaN without one.
-        target_rad: Joint angle that is commanded in this sample, rad; NaN without one. A drive
-            reaches it by the next sample, some drives at once.
-    """
+    """The joint in one sample."""
 
     time_s: float
-    speed_rad_s: float
-    drive_rad: float
-    joint_rad: float = math.nan
+    speed_rad_s: float  # joint speed as the drive reports it, rad/s
+    drive_rad: float  # joint angle by the encoder of the drive, rad
+    joint_rad: float = math.nan  # joint angle by the joint encoder, rad; NaN without one
+    # Joint angle that is commanded in this sample, rad; NaN without one. A drive reaches it by the
+    # next sample, some drives at once.
     target_rad: float = math.nan
 
 

@@ -13,38 +13,30 @@ from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, Steps, seen_w
 
 DISABLE_ATTEMPTS = 2
 INSISTENT_ATTEMPTS = 5
-REPEATED_S = 0.05
-"""Time for which cycles repeat an unanswered command in the process data."""
+REPEATED_S = 0.05  # time for which cycles repeat an unanswered command in the process data
 MOST_REPEATED = 50
 
 
 @dataclass(frozen=True)
 class SafeState:
-    """Final state of the drive, and whether it was proved to be off.
+    """Final state of the drive, and whether it was proved to be off."""
 
-    Attributes:
-        verified: Whether state, current and motion show that the drive is off.
-        watched: Whether the drive de-energises itself when it is no longer commanded.
-        unforeseen: Exceptions of the steps, except device errors, storage errors and Ctrl-C; they
-            are defects of this program, and are raised again after the operator was informed of the
-            state of the drive.
-        current_A: Motor current at the end, A; None if it was not reported or not read.
-        motion_rad_s: Speed of the joint at the end, rad/s; None if no angle was read.
-        doubt: Why the drive does not count as off; empty if it does, or if its state is unknown or
-            energised.
-        cut: Why the power was cut instead of a ramp; empty if it was not.
-        joint_read: Whether the joint encoder was read at the end; None if it was not observed.
-    """
-
-    verified: bool
+    verified: bool  # whether state, current and motion show that the drive is off
     state: str
     problems: tuple[str, ...] = ()
-    watched: bool = True
+    watched: bool = True  # whether the drive de-energises itself when it is no longer commanded
+    # Exceptions of the steps, except device errors, storage errors and Ctrl-C; they are defects of
+    # this program, and are raised again after the operator was informed of the state of the drive.
     unforeseen: tuple[BaseException, ...] = field(default=(), repr=False, compare=False)
+    # Motor current at the end, A; None if it was not reported or not read.
     current_A: float | None = None
+    # Speed of the joint at the end, rad/s; None if no angle was read.
     motion_rad_s: float | None = None
+    # Why the drive does not count as off; empty if it does, or if its state is unknown or
+    # energised.
     doubt: str = ""
-    cut: str = ""
+    cut: str = ""  # why the power was cut instead of a ramp; empty if it was not
+    # Whether the joint encoder was read at the end; None if it was not observed.
     joint_read: bool | None = None
 
     @property

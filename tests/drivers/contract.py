@@ -1,7 +1,5 @@
 """What every servo on every transport must do; one joins by subclassing and giving ``rig``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

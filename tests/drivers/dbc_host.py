@@ -1,7 +1,5 @@
 """A simulated bench whose drive speaks its own frames, with the host's drivers on it, for tests."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Random DBC files, and frames read bit by bit by the file's bit numbers, without the codec."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -121,7 +119,6 @@ def drawn_frame(rng: Random, name: str, identifier: int) -> Frame:
         part = drawn_field(rng, word, size, paged and frame.selector() is None)
         if paged and frame.fields and frame.selector() and rng.random() < 0.7:
             selector = frame.selector()
-            assert selector is not None
             part = replace(part, page=rng.randint(0, min(3, (1 << selector.width) - 1)))
         bits = set(part.bits())
         hidden = taken[None] | taken.setdefault(part.page, set())
@@ -192,7 +189,6 @@ def require_signal(signal: Signal, part: Field, frame: bytes, selector: Field | 
     if part.page is None:
         assert signal.selector is None, part
     else:
-        assert selector is not None
         assert signal.selector is not None, part
         assert (signal.selector.name, signal.pages) == (selector.name, (part.page,)), part
 

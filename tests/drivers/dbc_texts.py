@@ -1,7 +1,5 @@
 """DBC files and maps of drives of other kinds than the simulated one, for tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Random EDS files, refused with their name or read as they state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,9 +14,10 @@ from drivers.canopen.eds_file import Described, read_eds
 from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.units import ServoScales
+from tests.drivers.makes import description
 
 NODE = 5
 SCALES = ServoScales(4096, 100.0, 15.0, 0.45)

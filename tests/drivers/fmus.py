@@ -1,7 +1,5 @@
 """Builds small FMUs from ``machines/nominal.c`` with the C compiler of the system."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import zipfile

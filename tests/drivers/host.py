@@ -1,7 +1,5 @@
 """A simulated bench with the host's drivers on it, for tests."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,11 +18,11 @@ from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
-from drivers.mock.makes import described_drive, description
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.traits import Traits
+from drivers.mock.traits import Traits, described_drive
 from drivers.units import EncoderScales, ServoScales
+from tests.drivers.makes import description
 
 from .contract import Rig
 from .contract import enabled as enabled

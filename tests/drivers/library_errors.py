@@ -1,7 +1,5 @@
 """What the libraries under a port have been seen to raise, or may raise."""
 
-from __future__ import annotations
-
 import termios
 from collections.abc import Callable
 

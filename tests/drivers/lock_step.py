@@ -1,7 +1,5 @@
 """Real pseudo-terminals and sockets in simulated time."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Random signal maps, refused with their places or held against file and map bit by bit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -88,8 +86,7 @@ def drawn_map(rng: Random, heard: Mapping[str, Place], told: Mapping[str, Place]
             current=drawn_quantity(rng, heard),
         ),
         status=Status(
-            state,
-            dict(zip(("disabled", "running", "fault"), ((v,) for v in values), strict=False)),
+            state, dict(zip(("disabled", "running", "fault"), ((v,) for v in values), strict=False))
         ),
         target=target,
         orders=Orders(
@@ -154,7 +151,6 @@ def require_target(rng: Random, spec: DbcMap, wiring: Wiring, at: Place) -> None
     # Offsets in SI take digits of a raw value that is beyond them by a factor of 1e10.
     assert math.isclose(found, asked, rel_tol=1e-6, abs_tol=1e-3), f"{found} is not {asked}"
     if part.page is not None:
-        assert selector is not None
         assert selector.raw(frame) == part.page, "the target is on another page"
 
 

@@ -1,7 +1,5 @@
 """What every port must do, real or simulated; one joins by giving ``line`` or ``wire``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A pseudo-terminal whose far end is the test."""
 
-from __future__ import annotations
-
 import os
 import select
 import tty

@@ -1,7 +1,5 @@
 """The simulated bench behind serial lines and CAN adapters."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

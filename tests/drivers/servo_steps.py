@@ -1,7 +1,5 @@
 """What every servo does step by step; one joins by subclassing and giving ``case``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -50,9 +48,7 @@ class StepsContract:
             ("reset_fault", S.FAULT_REACTION, StateError),
         ],
     )
-    def test_what_its_state_does_not_allow_sends_nothing(
-        self, case: Case, verb: str, state: S, error: type[Exception]
-    ) -> None:
+    def test_what_its_state_does_not_allow_sends_nothing(self, case, verb, state, error):
         servo = case.ready()
         case.put(state)
         with pytest.raises(error):
@@ -73,9 +69,7 @@ class StepsContract:
         assert any(map(case.off, case.sent()))
         assert case.fake.cycle <= 4
 
-    def test_a_bus_that_fails_on_the_way_is_told_though_the_drive_cannot_be(
-        self, case: Case
-    ) -> None:
+    def test_a_bus_that_fails_on_the_way_is_told_though_the_drive_cannot_be(self, case):
         servo = case.ready()
 
         def lose() -> None:
@@ -88,9 +82,7 @@ class StepsContract:
         assert any(map(case.off, case.sent()))
 
     @pytest.mark.parametrize("timeout_s", [1.0, 0.1])
-    def test_a_drive_that_does_not_come_up_is_given_its_time(
-        self, case: Case, timeout_s: float
-    ) -> None:
+    def test_a_drive_that_does_not_come_up_is_given_its_time(self, case, timeout_s):
         servo = case.ready(state_timeout_s=timeout_s)
         case.fake.follows = False
         with pytest.raises(StateError, match=f" {timeout_s:g} s after the command"):

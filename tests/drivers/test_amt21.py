@@ -1,17 +1,10 @@
-from __future__ import annotations
-
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.amt21.encoder import (
-    COUNTS_PER_TURN,
-    PlausibilityGate,
-    decode,
-    encode,
-)
+from drivers.amt21.encoder import COUNTS_PER_TURN, PlausibilityGate, decode, encode
 from drivers.errors import ConfigurationError, LinkError
 
 from .contract import enabled
@@ -184,9 +177,7 @@ def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> Non
 
 
 @pytest.mark.parametrize("use", ["write", "read"])
-def test_a_line_that_fails_is_reported_once_until_it_works_again(
-    host: SerialHost, monkeypatch: pytest.MonkeyPatch, use: str
-) -> None:
+def test_a_line_that_fails_is_reported_once_until_it_works_again(host, monkeypatch, use):
     live(host)
 
     def gone(*_: object) -> None:

@@ -1,7 +1,5 @@
 """Random EDS files, DBC files and maps: read as they state, or refused in words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from random import Random
 

@@ -1,11 +1,8 @@
 """The port over python-can: what its interfaces raise, say and do not heed."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time
-from collections.abc import Callable
 from threading import Thread
 
 import can
@@ -60,9 +57,7 @@ class Interface(can.BusABC):
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_a_link_over_any_interface_raises_link_errors_and_goes_on(
-    make: Callable[[], Exception],
-) -> None:
+def test_a_link_over_any_interface_raises_link_errors_and_goes_on(make):
     """A message that its backend could not read costs one error; what comes after it is read."""
     bus = Interface(make(), frame(0x701, b"\x05"), on_send=make())
     link = CanopenLink(RealClock(), lambda: PythonCanPort(bus, RealClock()), "CAN at can0")
@@ -96,9 +91,7 @@ def test_every_frame_is_sent_with_a_time_limit() -> None:
         (can.Message(0, 0, is_extended_id=False, is_error_frame=True), ERROR_FLAG),
     ],
 )
-def test_identifiers_that_do_not_exist_are_no_base_format_ones(
-    found: can.Message, identifier: int
-) -> None:
+def test_identifiers_that_do_not_exist_are_no_base_format_ones(found, identifier):
     with Interface(found) as bus:
         (read,) = PythonCanPort(bus, SimulatedClock()).collect(0.0)
     assert read.identifier == identifier

@@ -1,7 +1,5 @@
 """The host's state table, alone and against the transitions of the simulated drive."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivers.canopen.cia402 import Command, controlword, decode_state

@@ -1,7 +1,5 @@
 """The CiA 402 servo against a channel that notes everything."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -249,9 +247,7 @@ def test_prepared_again_it_starts_from_nothing(drive: Drive) -> None:
         *((0.0, None), (0.0015, None), (0.001 + 1.2e-9, None), (0.001 - 1.2e-9, None)),
     ],
 )
-def test_a_cycle_is_of_whole_milliseconds(
-    drive: Drive, cycle_s: float, whole_ms: int | None
-) -> None:
+def test_a_cycle_is_of_whole_milliseconds(drive, cycle_s, whole_ms):
     with pytest.raises(ConfigurationError, match="60C2h") if whole_ms is None else nullcontext():
         make(drive).prepare(cycle_s)
     assert drive.take()[:1] == ([("write", (0x60C2, 1), whole_ms)] if whole_ms else [])
@@ -505,9 +501,7 @@ def at(servo: Cia402Servo, drive: Drive, status: int, position: int) -> float:
     return servo.sample().following_error_rad / SCALES.joint_rad_per_count
 
 
-def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for(
-    drive: Drive,
-) -> None:
+def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for(drive):
     servo = enabled(drive)
     unit = SCALES.joint_rad_per_count
     servo.set_target(2000 * unit)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,12 +8,7 @@ from drivers.canopen.sdo import Axis
 from .contract import Rig, ServoContract
 from .dbc_host import make_dbc_host
 from .host import drive_eds, make_host
-from .serial_host import (
-    in_memory,
-    serial_over_pty,
-    slcan_over_pty,
-    socketcand_on_loopback,
-)
+from .serial_host import in_memory, serial_over_pty, slcan_over_pty, socketcand_on_loopback
 
 
 class TestCanBuses(ServoContract):

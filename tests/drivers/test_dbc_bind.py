@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,9 +128,7 @@ def test_a_syntax_error_names_line_and_column(path: Path) -> None:
         ("Life : 4|4@1+", "Life : 62|4@1+", "does not fit in message DRV_Command"),
     ],
 )
-def test_a_message_whose_bits_are_wrong_is_not_used_and_others_are(
-    path: Path, good: str, bad: str, words: str
-) -> None:
+def test_a_message_whose_bits_are_wrong_is_not_used_and_others_are(path, good, bad, words):
     text = DRIVE_DBC.read_text()
     assert good in text
     path.write_text(text.replace(good, bad))
@@ -166,9 +162,7 @@ def test_comments_are_read_in_any_encoding(path: Path, comment: str, encoding: s
     assert read_dbc(path) == read_dbc(DRIVE_DBC)
 
 
-def test_a_message_that_is_defined_twice_is_not_used(
-    path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_that_is_defined_twice_is_not_used(path, capfd):
     text = DRIVE_DBC.read_text()
     path.write_text(text.replace("BO_ 288 DRV", "BO_ 16 DRV_Stop: 2 HOST\n\nBO_ 288 DRV"))
     layouts = read_dbc(path)

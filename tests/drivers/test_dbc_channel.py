@@ -1,7 +1,5 @@
 """Counters, checksums and freshness, without a bus."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -101,9 +99,7 @@ def test_a_bad_frame_updates_nothing(channel: DbcChannel, bad: bytes) -> None:
 
 
 @pytest.mark.parametrize("lost", range(8))
-def test_frames_that_were_lost_before_do_not_spoil_a_good_one(
-    channel: DbcChannel, lost: int
-) -> None:
+def test_frames_that_were_lost_before_do_not_spoil_a_good_one(channel, lost):
     cycle(channel, 1, *whole(1))
     number = 2 + lost
     cycle(channel, number, *whole(number))
@@ -123,9 +119,7 @@ def test_a_drive_that_restarted_its_counter_costs_one_sample(channel: DbcChannel
         st.tuples(st.sampled_from([MOTION, POWER, STATUS]), st.binary(max_size=8)), max_size=20
     )
 )
-def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(
-    frames: list[tuple[int, bytes]],
-) -> None:
+def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(frames):
     channel = DbcChannel(WIRING, "the drive")
     channel.set_cycle(0.001)
     for number, (identifier, data) in enumerate(frames):
@@ -145,9 +139,7 @@ def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(
 @pytest.mark.parametrize(
     ("state", "faulty"), [(OFF, False), (1, False), (3, False), (FAULT, True), (4, True)]
 )
-def test_a_drive_that_stopped_by_itself_is_not_asked_to_run_again(
-    channel: DbcChannel, state: int, faulty: bool
-) -> None:
+def test_a_drive_that_stopped_by_itself_is_not_asked_to_run_again(channel, state, faulty):
     cycle(channel, 1, *whole(1))
     channel.order(WIRING.enable[ServoState.OPERATION_ENABLED], hold=True)
     channel.settle()

@@ -1,7 +1,5 @@
 """The simulated drive: its frames against ``cantools``, its states against its table."""
 
-from __future__ import annotations
-
 import cantools.database
 import numpy as np
 import pytest
@@ -100,9 +98,7 @@ def test_every_order_in_every_state(wire: Wire, state: State, order: Order) -> N
 @pytest.mark.parametrize(
     "changes", [{"Check": 0}, {"Life": 0}, {"Order": 9}], ids=["checksum", "counter", "order"]
 )
-def test_a_bad_command_is_not_obeyed_and_does_not_feed_the_watchdog(
-    wire: Wire, changes: dict[str, int]
-) -> None:
+def test_a_bad_command_is_not_obeyed_and_does_not_feed_the_watchdog(wire, changes):
     wire.to(State.RUN)
     wire.command(Order.RUN, Life=0)
     answered = wire.drive._told_ns

@@ -1,7 +1,5 @@
 """29-bit identifiers, pages of a message, remote frames, drives that report less."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import deque
@@ -109,7 +107,6 @@ def test_the_flags_of_an_identifier_reach_the_bus(flags: int) -> None:
     ):
         PythonCanPort(near, clock).transmit(number | flags, data)
         message = far.recv(1.0)
-        assert message is not None
         assert message.arbitration_id == number
         assert message.is_extended_id is bool(flags & EXTENDED_FLAG)
         assert message.is_remote_frame is bool(flags & REMOTE_FLAG)
@@ -268,9 +265,7 @@ def test_a_position_that_wraps_is_followed_over_the_jump(tmp_path: Path) -> None
     link.close()
 
 
-def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
-    tmp_path: Path,
-) -> None:
+def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(tmp_path):
     text = MOTOR + (
         '\nBO_ 5 Limits: 8 A\n SG_ Speed : 0|32@1- (1,0) [0|0] "rad/s" B\n'
         ' SG_ Current : 32|32@1+ (0.5,0) [0|0] "A" B\n\nSIG_VALTYPE_ 5 Speed : 1;\n'
@@ -288,5 +283,4 @@ def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
     assert current == 20  # 10.3 A for the torque, never more.
     assert servo.read_limits() == HELD
     assert servo.limits_taken == frozenset()
-    assert servo.limit_places is not None
     assert servo.limit_places["speed_rad_s"] == "Limits.Speed, written but not reported"

@@ -1,7 +1,5 @@
 """Checksums and values of signals, and orders in any sequence, against cantools."""
 
-from __future__ import annotations
-
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -76,9 +74,7 @@ def test_a_checksum_sees_every_single_bit(kind: str, data: bytes, bit: int) -> N
 @pytest.mark.parametrize("byte", [0, 3])
 @settings(max_examples=20, deadline=None)
 @given(data=st.binary(min_size=4, max_size=4), prefix=st.binary(max_size=3))
-def test_a_checksum_covers_its_prefix_and_all_other_bytes(
-    motorola: bool, byte: int, data: bytes, prefix: bytes
-) -> None:
+def test_a_checksum_covers_its_prefix_and_all_other_bytes(motorola, byte, data, prefix):
     shift = 8 * (3 - byte if motorola else byte)
     signal = Signal("C", 4, shift, 8, motorola)
     rest = data[:byte] + data[byte + 1 :]

@@ -1,7 +1,5 @@
 """Who wins over the target, what goes once, what is a fault."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,9 +112,7 @@ def test_a_stop_frame_in_the_message_of_the_commands_keeps_its_counter(tmp_path:
         (99, 7, S.FAULT_REACTION),
     ],
 )
-def test_a_fault_code_is_a_fault_whatever_the_state_says(
-    tmp_path: Path, state: int, code: int, shown: ServoState | None
-) -> None:
+def test_a_fault_code_is_a_fault_whatever_the_state_says(tmp_path, state, code, shown):
     channel = DbcChannel(wired(tmp_path), "the motor")
     hear(channel, 2, bytes([state, 0, 0, 0, 0, 0]))
     hear(channel, 4, code.to_bytes(2, "little"))
@@ -146,7 +142,6 @@ def test_a_torque_offset_goes_with_the_target_and_rests_without_it(tmp_path: Pat
     spec = replace(ordered(enable=enable), torque_offset=Quantity("Command.Torque"))
     wiring = wired(tmp_path, spec)
     channel = DbcChannel(wiring, "the motor")
-    assert wiring.torque_offset is not None
     channel.push(wiring.torque_offset.bits(1.0))
     assert sent(channel)[0][1] == "fffffffffffffffd"
     channel.order(wiring.enable[S.OPERATION_ENABLED], hold=True)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,14 +12,7 @@ from drivers.dbc.map import Protection, Quantity
 from drivers.dbc.servo import DbcServo
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from drivers.mock.dbc_drive import (
-    COMMISSIONED,
-    DRIVE_DBC,
-    POWERED,
-    DbcDrive,
-    Order,
-    State,
-)
+from drivers.mock.dbc_drive import COMMISSIONED, DRIVE_DBC, POWERED, DbcDrive, Order, State
 from drivers.mock.encoder import ENCODER_EDS
 
 from .dbc_host import DRIVE, HELD, MAP, DbcHost, enabled, make_dbc_host, prepared
@@ -405,9 +396,7 @@ def test_a_fault_while_running_is_raised_once(host: DbcHost) -> None:
         ((" 400 ", " 1919 "), "CANopen node 127"),
     ],
 )
-def test_identifiers_may_not_collide(
-    host: DbcHost, tmp_path, change: tuple[str, str], owner: str
-) -> None:
+def test_identifiers_may_not_collide(host, tmp_path, change, owner):
     path = tmp_path / "moved.dbc"
     path.write_text(DRIVE_DBC.read_text().replace(*change))
     link = DbcLink(host.clock, lambda: host.bench.bus, "simulated bus")

@@ -1,7 +1,5 @@
 """What is known of makers' drives: the packaged files, and files that say something wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -9,7 +7,8 @@ import yaml
 
 from drivers.canopen.device_data import FOLDER, devices, identity, match, parse
 from drivers.canopen.eds_file import read_eds
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
+from tests.drivers.makes import description
 
 from .host import make_eds
 

@@ -1,7 +1,5 @@
 """Behaviour of the simulated drive that the safety of a bench leans on."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import replace
@@ -94,9 +92,7 @@ def test_quick_stop_options(host: Host, option: int, first: State, last: State) 
 
 
 @pytest.mark.parametrize(("option", "deceleration"), [(1, "x6084"), (2, "x6085")])
-def test_a_ramp_takes_the_time_of_its_deceleration(
-    host: Host, option: int, deceleration: str
-) -> None:
+def test_a_ramp_takes_the_time_of_its_deceleration(host, option, deceleration):
     speed = 0.3
     ramp = round(10 * speed * 4096 * 100 / math.tau)
     moving(host, speed, x605A=option, **{deceleration: ramp})

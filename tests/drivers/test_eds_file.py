@@ -1,7 +1,5 @@
 """EDS files as people have them: missing, damaged, of another device."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re
@@ -135,9 +133,7 @@ def test_an_object_that_a_sensor_needs_is_missed(tmp_path: Path, source: Path, i
 
 
 @pytest.mark.parametrize(("index", "needed"), [(0x1013, False), (0x6041, True)])
-def test_a_serial_line_needs_no_process_data_and_no_time_stamp(
-    tmp_path: Path, index: int, needed: bool
-) -> None:
+def test_a_serial_line_needs_no_process_data_and_no_time_stamp(tmp_path, index, needed):
     link = EposSerialLink(SimulatedClock(), never)  # type: ignore[arg-type]
     node = link.add_node(1, drive_eds(tmp_path, (index,)))
     found = list(Cia402Servo(node, link, SCALES).description_problems())
@@ -145,9 +141,7 @@ def test_a_serial_line_needs_no_process_data_and_no_time_stamp(
 
 
 @pytest.mark.parametrize("encoding", ["cp850", "utf-16"])
-def test_a_maker_s_encoding_does_no_harm_in_any_locale(
-    tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_maker_s_encoding_does_no_harm_in_any_locale(tmp_path, encoding, monkeypatch):
     # As in a C locale: what is opened without an encoding of its own is ASCII.
     monkeypatch.setattr("locale.getpreferredencoding", lambda *_: "ascii")
     monkeypatch.setattr("locale.getencoding", lambda: "ascii")
@@ -195,9 +189,7 @@ def test_a_type_that_another_section_defines(eds: Path) -> None:
         ("PDOMapping=1", "PDOMapping=yes", "PDOMapping of section .* is 'yes'; it must be a"),
     ],
 )
-def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(
-    eds: Path, line: str, instead: str, words: str
-) -> None:
+def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(eds, line, instead, words):
     at = TEXT.index("[6040]")
     eds.write_text(TEXT[:at] + TEXT[at:].replace(line, instead, 1))
     number = 1 + eds.read_text()[: eds.read_text().index("[6040]")].count("\n")

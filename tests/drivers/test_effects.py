@@ -1,7 +1,5 @@
 """What the machine can hide, against closed forms; the plants are compared in ``tests/worlds``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -113,9 +111,7 @@ LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
         (LOADED, 0.5, 20.0, 20.0 * MOMENT * 0.1 * 0.25),
     ],
 )
-def test_torque_at_a_steady_speed(
-    effects: Effects, speed: float, weight_kg: float, wanted: float
-) -> None:
+def test_torque_at_a_steady_speed(effects, speed, weight_kg, wanted):
     found = steady_torque(effects, speed, weight_kg) - nominal(speed, weight_kg)
     assert found == pytest.approx(wanted, abs=0.03)
 
@@ -167,14 +163,7 @@ def swing(free: Track) -> np.ndarray:
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) and value else "",
 )  # fmt: skip
-def test_torque_along_a_cruise(
-    effects: Effects,
-    base: Effects,
-    speed: float,
-    weight_kg: float,
-    wanted: Callable[[Track], np.ndarray],
-    within: float,
-) -> None:
+def test_torque_along_a_cruise(effects, base, speed, weight_kg, wanted, within):
     path = cruise(speed, 2.5)
     track, free = (Track(e, path, weight_kg) for e in ({**base, **effects}, base))
     extra = PER_AMPERE * (track.current - free.current)[500:]

@@ -1,7 +1,5 @@
 """Heartbeats, node guarding and life guarding: how drive and program detect a lost partner."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 
@@ -34,9 +32,7 @@ def requests(host: Host) -> list[int]:
     return [f.time_ns for f in frames if f.identifier == GUARD_REQUEST]
 
 
-def test_life_guarding_is_the_watchdog_of_a_drive_without_a_heartbeat_consumer(
-    tmp_path: Path,
-) -> None:
+def test_life_guarding_is_the_watchdog_of_a_drive_without_a_heartbeat_consumer(tmp_path):
     host = enabled(guarded(tmp_path))
     assert host.servo.watch_s == WATCH_S
     assert host.link.has_watchdog
@@ -80,9 +76,7 @@ def test_the_loop_may_pause_without_power(tmp_path: Path) -> None:
     assert host.servo.sample().fresh
 
 
-def test_lost_answers_are_no_loss_and_those_whose_toggle_bit_stays_are(
-    tmp_path: Path,
-) -> None:
+def test_lost_answers_are_no_loss_and_those_whose_toggle_bit_stays_are(tmp_path):
     host = enabled(guarded(tmp_path))
     host.cycles(100)
     # After a lost answer the toggle bit of the next one is that of the last one received.
@@ -96,9 +90,7 @@ def test_lost_answers_are_no_loss_and_those_whose_toggle_bit_stays_are(
         host.cycles(400)
 
 
-def test_without_remote_frames_a_drive_runs_only_as_one_without_a_watchdog(
-    tmp_path: Path,
-) -> None:
+def test_without_remote_frames_a_drive_runs_only_as_one_without_a_watchdog(tmp_path):
     host = guarded(tmp_path)
     assert not list(host.servo.problems(host.cycle_s))
     assert len(requests(host)) == 1
@@ -137,9 +129,7 @@ def test_a_life_guarding_that_an_earlier_program_left_is_ended(tmp_path: Path) -
 
 @pytest.mark.parametrize("lacks", [(), GUARDED])
 @pytest.mark.parametrize("delay_s", [0.02, 0.1])
-def test_a_drive_with_slow_sdo_answers_can_be_enabled_and_disabled(
-    tmp_path: Path, delay_s: float, lacks: tuple[int, ...]
-) -> None:
+def test_a_drive_with_slow_sdo_answers_can_be_enabled_and_disabled(tmp_path, delay_s, lacks):
     host = make_host(eds=drive_eds(tmp_path, lacks))
     host.bench.drive.sdo_delay_ns = round(delay_s * 1e9)
     for _ in range(2):
@@ -151,9 +141,7 @@ def test_a_drive_with_slow_sdo_answers_can_be_enabled_and_disabled(
 
 
 @pytest.mark.parametrize("lacks", [(), GUARDED])
-def test_a_drive_that_is_never_enabled_is_not_kept_alive_for_long(
-    tmp_path: Path, lacks: tuple[int, ...]
-) -> None:
+def test_a_drive_that_is_never_enabled_is_not_kept_alive_for_long(tmp_path, lacks):
     """The sum of the waits is bounded, however many requests are answered late."""
     host = prepared(make_host(eds=drive_eds(tmp_path, lacks)))
     host.link.take_frames()
@@ -285,9 +273,7 @@ def test_an_interface_that_would_send_data_instead_is_refused() -> None:
 
 
 @pytest.mark.parametrize("lacks", [(), GUARDED])
-def test_a_slow_drive_that_has_stopped_does_not_fault_while_its_state_is_read(
-    tmp_path: Path, lacks: tuple[int, ...]
-) -> None:
+def test_a_slow_drive_that_has_stopped_does_not_fault_while_its_state_is_read(tmp_path, lacks):
     """Some drives go into fault after the loss of their master also without power."""
     host = enabled(make_host(eds=drive_eds(tmp_path, lacks)))
     host.cycles(30)

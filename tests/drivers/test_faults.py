@@ -1,9 +1,6 @@
 """Every fault of wire, sensor and drive does what its name says."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 
 import pytest
 
@@ -72,13 +69,7 @@ def anything(_identifier: int, _host: bool) -> bool:
     ],
     ids=["lost", "others lost", "other way lost", "repeated", "late", "flipped", "short"],
 )  # fmt: skip
-def test_frames_are_spoiled_as_often_as_asked_and_no_others(
-    wire: Wire,
-    direction: str,
-    fault: Callable[[WireFaults], None],
-    sent: tuple[bytes, ...],
-    arrive: list[bytes],
-) -> None:
+def test_frames_are_spoiled_as_often_as_asked_and_no_others(wire, direction, fault, sent, arrive):
     fault(wire.faults)
     assert getattr(wire, direction)(*sent) == arrive
 
@@ -196,9 +187,7 @@ def test_a_stepped_clock_waits_as_long_as_was_asked() -> None:
 
 @pytest.mark.parametrize("length", [0, 7])
 @pytest.mark.parametrize("identifier", [0x081, 0x181, 0x281, 0x581, 0x701])
-def test_a_frame_of_the_wrong_length_updates_nothing_and_raises_nothing(
-    host: Host, identifier: int, length: int
-) -> None:
+def test_a_frame_of_the_wrong_length_updates_nothing_and_raises_nothing(host, identifier, length):
     prepared(host)
     host.cycles(3)
     before = [slot.values for slot in host.drive.inputs.values()]

@@ -1,7 +1,5 @@
 """The gas generator and its valve: books, equilibria, areas, and what it can hide."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

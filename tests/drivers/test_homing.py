@@ -1,10 +1,7 @@
 """Homing of CiA 402 drives: what is offered, what is sent, and how the power goes off."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
-from pathlib import Path
 
 import pytest
 
@@ -175,9 +172,7 @@ def test_a_drive_that_does_not_show_the_mode_is_not_started(host: Host) -> None:
         ((0x60E3,), {*range(1, 15), *range(17, 31), *range(33, 36), 37}),
     ],
 )
-def test_homing_is_offered_where_its_objects_are(
-    tmp_path: Path, lacks: tuple[int, ...], methods: set[int]
-) -> None:
+def test_homing_is_offered_where_its_objects_are(tmp_path, lacks, methods):
     offer = make_host(eds=drive_eds(tmp_path, lacks)).servo.homing_offer()
     assert set(offer.methods) == methods
     assert all(f"{index:04X}h" in offer.words for index in lacks if index != 0x60E3)

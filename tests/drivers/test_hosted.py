@@ -1,7 +1,5 @@
 """Anybody's machine behind the simulated drive: against the own plant, its limits, its errors."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable
@@ -157,9 +155,7 @@ def test_without_power_it_gets_no_voltage_and_with_a_stuck_stage_it_does() -> No
 
 
 @pytest.mark.parametrize(("supply_V", "limit_V", "most_V"), [(6.0, 60.0, 6.0), (60.0, 8.0, 8.0)])
-def test_rail_and_limit_of_the_drive_bound_the_voltage(
-    supply_V: float, limit_V: float, most_V: float
-) -> None:
+def test_rail_and_limit_of_the_drive_bound_the_voltage(supply_V, limit_V, most_V):
     plant = Noted()
     own = Machine(supply_V=supply_V, loops=Loops(voltage_limit_V=limit_V))
     machine = hosted(plant, own)
@@ -257,9 +253,7 @@ def line_of(text: str) -> int:
         (lambda _: (0.0, 1j, 0.0, 0.0), "voltage_V: float) -> Any", "1j"),
     ],
 )
-def test_an_error_names_its_line_and_the_machine_stands_still(
-    how: Callable[[float], Any], line: str, said: str
-) -> None:
+def test_an_error_names_its_line_and_the_machine_stands_still(how, line, said):
     plant = broken(how)()
     machine = hosted(plant)
     machine.power(True)
@@ -402,9 +396,7 @@ def test_an_fmu_that_ends_the_simulation_is_an_error(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_fmu_that_does_not_fit_is_refused(
-    fmi: int, built: dict[str, Any], said: str, tmp_path: Path
-) -> None:
+def test_an_fmu_that_does_not_fit_is_refused(fmi, built, said, tmp_path):
     needs_fmpy()
     path = build_fmu(tmp_path / "machine.fmu", fmi, **built)
     with pytest.raises(ConfigurationError) as refused:
@@ -421,9 +413,7 @@ def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
         FmuPlant(path)
 
 
-def test_without_the_package_the_remedy_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_package_the_remedy_is_said(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     with pytest.raises(ConfigurationError, match=r"pip install 'loadrig\[fmu\]'"):
         FmuPlant(tmp_path / "machine.fmu")

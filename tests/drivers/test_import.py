@@ -1,7 +1,5 @@
 """What ``import drivers`` changes outside of its own modules: nothing."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

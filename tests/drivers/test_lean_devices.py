@@ -1,7 +1,5 @@
 """Drives and encoders that have, keep or refuse what CiA leaves to their makers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
@@ -22,10 +20,11 @@ from drivers.homing import HomingOrder
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import SdoAbortError, key
 from drivers.mock.canopen.node import SimulatedNode
-from drivers.mock.makes import LACKS, MAKES, description
+from drivers.mock.traits import MAKES
 from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION, encode
 from drivers.units import EncoderScales, ServoScales
+from tests.drivers.makes import LACKS, description
 
 from .host import SCALES, Host, enabled, make_eds, make_host
 from .test_servo import LIMITS
@@ -132,9 +131,7 @@ def test_a_limit_that_is_held_already_is_not_written(host: Host) -> None:
 
 
 @pytest.mark.parametrize(("wanted_ms", "silence_s"), [(250, 1.0), (50, 0.2)])
-def test_a_heartbeat_is_timed_by_the_period_that_the_device_holds(
-    host: Host, wanted_ms: int, silence_s: float
-) -> None:
+def test_a_heartbeat_is_timed_by_the_period_that_the_device_holds(host, wanted_ms, silence_s):
     drive = host.bench.drive
     start = drive.objects.written[0x1017]
 
@@ -251,9 +248,7 @@ def test_without_606c_the_speed_follows_from_the_position(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("makes", "alone"), [("EPOS4", True), ("Trinamic", False)])
-def test_a_drive_without_a_reaction_to_a_lost_master_has_no_watchdog(
-    tmp_path: Path, makes: str, alone: bool
-) -> None:
+def test_a_drive_without_a_reaction_to_a_lost_master_has_no_watchdog(tmp_path, makes, alone):
     eds = make_eds(tmp_path, makes)
     host = make_host(eds=eds)
     assert host.link.has_watchdog is alone
@@ -319,9 +314,7 @@ def test_an_encoder_of_class_1(host: Host) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("start_deg", [-0.5, 0.5])
-def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
-    host: Host, start_deg: float, sign: int
-) -> None:
+def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(host, start_deg, sign):
     encoder = host.bench.encoder
     encoder.objects.values[key(0x6002)] = encoder._range = TURN
     zero = round((180.0 + sign * start_deg) / 360.0 * TURN)
@@ -362,9 +355,7 @@ class Stating:
         (0x60AA, 0x00B44700, None, ""),
     ],
 )
-def test_a_unit_that_a_drive_states_is_that_of_the_bench_file(
-    index: int, word: int, unit: float | None, setting: str
-) -> None:
+def test_a_unit_that_a_drive_states_is_that_of_the_bench_file(index, word, unit, setting):
     drive: Any = Stating(index, word)
     found = list(motion.stated_unit_problems(drive, SCALES))
     if unit is None:
@@ -386,9 +377,7 @@ def test_a_unit_that_a_drive_states_is_that_of_the_bench_file(
         (-1.0, None, None),
     ],
 )
-def test_the_unit_of_a_speed_is_found_from_its_factor(
-    host: Host, factor: float, key: str | None, value: str | float | None
-) -> None:
+def test_the_unit_of_a_speed_is_found_from_its_factor(host, factor, key, value):
     keys = dict(host.servo.speed_settings(factor))
     assert keys.get(key) == value
     assert bool(keys) is (factor > 0.0)

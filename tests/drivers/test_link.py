@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from drivers.can.port import cycle_bits, frame_bits

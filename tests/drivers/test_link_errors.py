@@ -167,9 +167,7 @@ SERVO_LINKS = (canopen, dbc, epos)
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
 @pytest.mark.parametrize("kind", LINKS)
-def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
-    kind: Callable[..., Bench], make: Callable[[], Exception]
-) -> None:
+def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(kind, make):
     bench = kind(make)
     bench.link.open()
     for what, use in bench.uses.items():
@@ -191,7 +189,6 @@ def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
 def lived(bench: Bench) -> None:
     """Do what a short run does, in which each step fails or not."""
     link, servo = bench.link, bench.servo
-    assert servo is not None
     link.open()
     with suppress(DeviceError):
         servo.prepare(0.002)
@@ -207,9 +204,7 @@ def lived(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("kind", SERVO_LINKS)
-def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(
-    kind: Callable[..., Bench],
-) -> None:
+def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(kind):
     whole = kind(AssertionError, good=1 << 30)
     lived(whole)
     calls = (1 << 30) - whole.port.left
@@ -227,9 +222,7 @@ def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
 @pytest.mark.parametrize("kind", [CanopenLink, EposSerialLink, Amt21Line])
-def test_whatever_opening_raises_is_a_link_error(
-    kind: Callable[..., Link], make: Callable[[], Exception]
-) -> None:
+def test_whatever_opening_raises_is_a_link_error(kind, make):
     made = kind(SimulatedClock(), Mock(side_effect=make()), "port")
     with pytest.raises(LinkError, match=r"^port cannot be opened: \S.*; check the ") as caught:
         made.open()

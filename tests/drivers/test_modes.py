@@ -1,7 +1,5 @@
 """Drives that take a speed, a torque or set-points instead of positions in every cycle."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

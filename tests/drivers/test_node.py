@@ -1,7 +1,5 @@
 """NMT, heartbeats, EMCY and process data of the simulated devices, on the wire."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest
@@ -93,9 +91,7 @@ def test_a_short_pdo_changes_nothing_and_is_reported(host: Host) -> None:
         (0x1801, 2, 241, 0x06090030),
     ],
 )
-def test_bad_mappings_are_refused(
-    host: Host, index: int, subindex: int, value: int, code: int
-) -> None:
+def test_bad_mappings_are_refused(host, index, subindex, value, code):
     with pytest.raises(ObjectAccessError) as caught:
         host.drive.write(index, subindex, value)
     assert caught.value.code == code

@@ -1,7 +1,5 @@
 """Torques of a user's file in the simulated machine."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from pathlib import Path
@@ -37,9 +35,7 @@ def machine(tmp_path: Path, text: str, **effects: dict[str, float]) -> Machine:
 
 
 @pytest.mark.parametrize("line", ["state[0] += dt", "speed = helper(speed)"])
-def test_a_torque_of_ones_own_is_that_of_the_catalogue(
-    line: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_torque_of_ones_own_is_that_of_the_catalogue(line, tmp_path, caplog):
     own = machine(tmp_path, QUADRATIC.format(line), drag={"c": 5.0})
     known = dataclasses.replace(PLAIN, effects={"quadratic_drag": {"coefficient_Nms2_rad2": 5.0}})
     found, wanted, plain = (simulate(m, command, 1.0, 500.0) for m in (own, known, PLAIN))

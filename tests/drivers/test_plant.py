@@ -1,7 +1,5 @@
 """The true machine against closed forms: friction, motor, motion under the loops, sensing."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -54,9 +52,7 @@ def test_magnitude_is_eq_9_plus_13(speed: float, force: float) -> None:
 
 
 @given(share=st.floats(-1.0, 1.0), force=st.floats(0.0, 5000.0))
-def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(
-    share: float, force: float
-) -> None:
+def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(share, force):
     static = magnitude(0.0, force)
     torque = math.copysign(min(abs(share), 1.0 - 1e-12) * static, share)
     speed, impulse, held = step_velocity(0.0, static, torque, force)
@@ -68,9 +64,7 @@ def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(
 @given(
     excess=st.floats(1e-3, 50.0), side=st.sampled_from([-1.0, 1.0]), force=st.floats(0.0, 5000.0)
 )
-def test_shaft_breaks_away_just_above_it_toward_the_torque(
-    excess: float, side: float, force: float
-) -> None:
+def test_shaft_breaks_away_just_above_it_toward_the_torque(excess, side, force):
     static = magnitude(0.0, force)
     speed, _, _ = step_velocity(0.0, static, side * (static + excess), force)
     assert side * speed > 0.0
@@ -81,9 +75,7 @@ def test_shaft_breaks_away_just_above_it_toward_the_torque(
     torque=st.floats(-80.0, 80.0),
     force=st.floats(0.0, 5000.0),
 )
-def test_one_step_conserves_momentum_and_never_passes_through_zero(
-    speed: float, torque: float, force: float
-) -> None:
+def test_one_step_conserves_momentum_and_never_passes_through_zero(speed, torque, force):
     p = friction_vector(JOINT, force)
     after, impulse, _ = step_velocity(speed, friction(abs(speed), p)[0], torque, force)
     assert after * speed >= 0.0
@@ -112,9 +104,7 @@ def test_sliding_below_coulomb_stops_and_holds_without_chatter(force: float, sid
 
 
 @pytest.mark.parametrize("force", FORCES_N)
-def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_closed_form(
-    force: float,
-) -> None:
+def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_closed_form(force):
     machine = exact_machine()
     machine.press(force)
     machine.power(True)
@@ -249,9 +239,7 @@ def rests(velocity: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("machine", "weight"), [(MACHINE, 30.6), (SOFT, 0.0)], ids=["stiff, loaded", "soft"]
 )
-def test_halving_the_step_changes_less_than_an_encoder_step(
-    machine: Machine, weight: float
-) -> None:
+def test_halving_the_step_changes_less_than_an_encoder_step(machine, weight):
     """Second order: each halving leaves a quarter of the change."""
     coarse, medium, fine = (
         simulate(replace(machine, steps_per_loop=n), sine, 6.0, 1000.0, weight)["angle"]

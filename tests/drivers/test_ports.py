@@ -1,7 +1,5 @@
 """The contract of the ports on all of them."""
 
-from __future__ import annotations
-
 import os
 import select
 from collections.abc import Iterator

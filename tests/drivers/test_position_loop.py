@@ -1,20 +1,12 @@
 """The position loop of the host, as a pure function."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.motion import (
-    AT_REST,
-    LoopGains,
-    LoopState,
-    derived,
-    step,
-)
+from drivers.canopen.motion import AT_REST, LoopGains, LoopState, derived, step
 from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoLimits
 
@@ -25,9 +17,7 @@ SPEEDS = st.floats(-20.0, 20.0)
 
 
 @given(ANGLES, ANGLES, SPEEDS, ANGLES, st.floats(-500.0, 500.0))
-def test_no_command_leads_over_a_limit(
-    target: float, angle: float, speed: float, before: float, integral: float
-) -> None:
+def test_no_command_leads_over_a_limit(target, angle, speed, before, integral):
     gains = derived(CYCLE_S, 0.2)
     state = LoopState(before, integral)
     _, asked, torque = step(state, gains, LIMITS, CYCLE_S, target, angle, speed)
@@ -66,9 +56,7 @@ def test_one_step_in_figures() -> None:
 @pytest.mark.parametrize(
     ("integral", "speed", "grows"), [(74.0, 0.5, False), (-74.0, 1.5, False), (90.0, 1.1, True)]
 )
-def test_in_the_torque_limit_the_integral_only_shrinks(
-    integral: float, speed: float, grows: bool
-) -> None:
+def test_in_the_torque_limit_the_integral_only_shrinks(integral, speed, grows):
     """The speed that is asked for is 1 rad/s; the third error leads out of the limit."""
     state, asked, torque = step(LoopState(0.2, integral), GAINS, LIMITS, CYCLE_S, 0.2, 0.1, speed)
     assert asked == pytest.approx(1.0)

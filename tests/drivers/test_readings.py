@@ -1,7 +1,5 @@
 """Devices asked for what they are and show, unprepared."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -11,13 +9,7 @@ import pytest
 from drivers.canopen.motion import ProfilePosition
 from drivers.canopen.sensors import Cia404Transmitter
 from drivers.epos.frames import FrameDecoder, Opcode
-from drivers.errors import (
-    ConfigurationError,
-    DeviceError,
-    LimitError,
-    LinkError,
-    ObjectAccessError,
-)
+from drivers.errors import ConfigurationError, DeviceError, LimitError, LinkError, ObjectAccessError
 from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen import dictionary as od
@@ -173,9 +165,7 @@ def test_all_refusals_of_a_drive_are_yielded() -> None:
 @pytest.mark.parametrize(
     ("torque", "accepted"), [(0.4510, True), (0.4511, False), (0.4490, True), (0.4489, False)]
 )
-def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(
-    torque: float, accepted: bool
-) -> None:
+def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(torque, accepted):
     host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
     assert (not list(host.servo.problems(0.001))) is accepted
 
@@ -200,7 +190,6 @@ def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
 def test_a_transmitter_is_read(status: int, pressure: float) -> None:
     bench = simulated_bench(Machine(), 0, transmitter_node=4)
     host = make_host()
-    assert bench.transmitter is not None
     link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
     device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 100.0)
     link.open()
@@ -238,9 +227,7 @@ def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> N
         ("quick_stop_deceleration_rad_s2", 1e7, "servo.quick_stop_deceleration_deg_s2"),
     ],
 )
-def test_a_limit_that_does_not_fit_names_its_key(
-    field: str, value: float, key: str, sign: int
-) -> None:
+def test_a_limit_that_does_not_fit_names_its_key(field, value, key, sign):
     """A wrong ratio or unit shows up as such a limit: the message states limit, range, keys."""
     host = make_host(scales=dataclasses.replace(SCALES, sign=sign))
     limits = dataclasses.replace(LIMITS, **{field: value})
@@ -249,7 +236,6 @@ def test_a_limit_that_does_not_fit_names_its_key(
     assert found.keys[0] == key
     assert all(key in str(found) for key in found.keys)
     held = re.search(r"can hold (\S+) to ([^ :]+)", str(found))
-    assert held is not None
     shown = math.degrees(value) if "_rad" in field else value
     assert not float(held[1]) <= shown <= float(held[2])
     with pytest.raises(LimitError) as caught:

@@ -1,7 +1,5 @@
 """The machine sampled in every loop period: the motion of the plain machine, and what it adds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The SDO server against hand-made frames, and against canopen's client through the link."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 
@@ -25,7 +23,6 @@ def make_server() -> SdoServer:
 
 
 def abort_code(response: bytes | None) -> int | None:
-    assert response is not None
     return struct.unpack_from("<I", response, 4)[0] if response[0] == 0x80 else None
 
 

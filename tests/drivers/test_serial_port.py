@@ -1,7 +1,5 @@
 """Real serial lines that go wrong: hung up, stalled, held by another program."""
 
-from __future__ import annotations
-
 import os
 import select
 import time
@@ -60,9 +58,7 @@ USES: tuple[Callable[[Line], object], ...] = (
 
 
 @pytest.mark.parametrize("use", USES, ids=["write", "look", "read", "discard"])
-def test_a_line_that_is_hung_up_is_an_error_at_once(
-    line: Line, use: Callable[[Line], object]
-) -> None:
+def test_a_line_that_is_hung_up_is_an_error_at_once(line, use):
     line.far.hang_up()
     for _ in range(3):
         began = time.monotonic()
@@ -172,9 +168,7 @@ def test_whatever_opening_raises_is_an_os_error(make: Callable[[], Exception]) -
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_whatever_the_system_raises_is_an_os_error(
-    line: Line, make: Callable[[], Exception]
-) -> None:
+def test_whatever_the_system_raises_is_an_os_error(line, make):
     def fail(*_: object) -> None:
         raise make()
 

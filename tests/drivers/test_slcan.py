@@ -1,7 +1,5 @@
 """The LAWICEL protocol: its decoder against anything, and the port behind a bad line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -81,9 +79,7 @@ def test_any_bytes_give_the_same_however_they_come(pieces: list[bytes], cuts: li
 
 
 @given(st.binary(), st.lists(FRAMES, max_size=5))
-def test_after_any_bytes_and_one_end_of_line_everything_good_is_read(
-    garbage: bytes, good: list[tuple[int, bytes]]
-) -> None:
+def test_after_any_bytes_and_one_end_of_line_everything_good_is_read(garbage, good):
     decoder = slcan.LineDecoder()
     decoder.feed(garbage + b"\r")
     assert decoder.feed(b"".join(slcan.encode(*frame) for frame in good)) == good

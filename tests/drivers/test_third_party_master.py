@@ -1,7 +1,5 @@
 """The simulated drives of each make, driven by the master of the library ``canopen``."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +10,9 @@ from canopen.profiles.p402 import BaseNode402
 
 from drivers.mock.bench import DRIVE_NODE, SimulatedBench, simulated_bench
 from drivers.mock.canopen.node import Nmt
-from drivers.mock.makes import MAKES, described_drive
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.traits import MAKES, described_drive
 
 from .host import make_eds, read_eds
 
@@ -100,9 +98,7 @@ def test_it_enables_moves_and_disables(pair: tuple[BaseNode402, SimulatedBench])
     assert bench.drive.power_state not in POWERED
 
 
-def test_its_quick_stop_brakes_and_takes_the_power_off(
-    pair: tuple[BaseNode402, SimulatedBench],
-) -> None:
+def test_its_quick_stop_brakes_and_takes_the_power_off(pair):
     node, bench = pair
     enable(node)
     move(node, 1000)

@@ -1,7 +1,5 @@
 """The pressure transmitter over the wire: unit, noise, range, and what a wrong one is told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -43,9 +41,7 @@ def check(scales: ServoScales, drive: Objects) -> None:
     st.integers(16, 1 << 20),
     st.floats(0.1, 1000),
 )
-def test_counts_survive_the_way_to_angles_and_back(
-    counts: int, sign: int, offset: float, per_turn: int, gear: float
-) -> None:
+def test_counts_survive_the_way_to_angles_and_back(counts, sign, offset, per_turn, gear):
     scales = ServoScales(per_turn, gear, 15.0, 0.45, sign, offset)
     back = scales.counts(scales.joint_angle_rad(counts))
     # Beside a large offset an angle keeps 53 bits, so a tiny count may lose its last place.
@@ -87,9 +83,7 @@ def test_impossible_scales_are_refused(wrong: dict[str, float]) -> None:
 
 
 @given(st.integers(0, 999), st.lists(st.integers(-499, 499), max_size=50))
-def test_unwrapping_follows_any_walk_of_less_than_half_the_range(
-    start: int, steps: list[int]
-) -> None:
+def test_unwrapping_follows_any_walk_of_less_than_half_the_range(start, steps):
     unwrapper = Unwrapper(1000)
     position = start
     assert unwrapper.update(start) == start

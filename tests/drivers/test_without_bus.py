@@ -1,7 +1,5 @@
 """The recording without the bus: the same samples as over the bus, for the same seed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -32,9 +30,7 @@ def load(machine: SimulatedMachine, weight: float | None) -> None:
 
 @pytest.mark.parametrize("effects", [{}, HIDING], ids=["nominal", "hiding"])
 @pytest.mark.parametrize("weight", [0.0, 30.6, None], ids=["unloaded", "30.6 kg", "hot firing"])
-def test_it_gives_the_samples_that_go_over_the_bus(
-    effects: dict[str, dict[str, float]], weight: float | None
-) -> None:
+def test_it_gives_the_samples_that_go_over_the_bus(effects, weight):
     constants = replace(Machine(), effects=effects, warming_K=900.0, warming_s=50.0)
     cycles = 1500
     command = 0.2 * (1.0 - np.cos(2.0 * np.pi * np.arange(cycles) * CYCLE_S))

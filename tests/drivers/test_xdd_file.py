@@ -1,7 +1,5 @@
 """XDD files (CiA 311) describe a device as an EDS file does, and are read safely."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,7 +16,8 @@ from drivers.canopen.eds_file import Described, read_eds, sections
 from drivers.errors import ConfigurationError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
+from tests.drivers.makes import description
 
 from .eds_shapes import of
 from .host import enabled, make_host
@@ -98,11 +97,7 @@ def xdd(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     "text",
-    [
-        DRIVE_EDS.read_text(),
-        ENCODER_EDS.read_text(),
-        *(description(make) for make in MAKES),
-    ],
+    [DRIVE_EDS.read_text(), ENCODER_EDS.read_text(), *(description(make) for make in MAKES)],
     ids=["drive", "encoder", *MAKES],
 )
 def test_a_device_is_the_same_by_either_file(tmp_path: Path, text: str) -> None:
@@ -158,9 +153,7 @@ BOMB = (
     ],
     ids=["bomb", "external", "cut", "nesting", "index", "no index", "other", "empty"],
 )
-def test_a_file_that_cannot_be_used_is_refused_with_its_line(
-    xdd: Path, content: str, line: int
-) -> None:
+def test_a_file_that_cannot_be_used_is_refused_with_its_line(xdd, content, line):
     xdd.write_text(content)
     with pytest.raises(ConfigurationError, match=rf"own\.xdd:{line}: "):
         read_eds(xdd, 5)
@@ -173,9 +166,7 @@ def test_an_object_without_a_type_is_a_fault_with_its_line(xdd: Path) -> None:
     assert read_eds(xdd, 5).faults[0x6064, 0].startswith(f"{xdd}:7: ")
 
 
-def test_a_file_that_is_too_large_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(eds_file, "MOST_BYTES", 1000)
     xdd = tmp_path / "own.xdd"
     xdd.write_text("<a>" + " " * 2000 + "</a>")
@@ -192,9 +183,7 @@ WHOLE = written(ENCODER_EDS.read_text()).encode()
         max_size=4,
     )
 )
-def test_a_damaged_file_is_refused_or_describes_objects(
-    tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, int, bytes]]
-) -> None:
+def test_a_damaged_file_is_refused_or_describes_objects(tmp_path_factory, edits):
     content = WHOLE
     for at, length, replacement in edits:
         content = content[:at] + replacement + content[at + length :]

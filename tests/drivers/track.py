@@ -1,7 +1,5 @@
 """A machine that hides something, followed on its exact channels, for tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

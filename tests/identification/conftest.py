@@ -1,7 +1,5 @@
 """Recordings that several files share; simulated once."""
 
-from __future__ import annotations
-
 import pytest
 
 from identification.estimate.default import identify

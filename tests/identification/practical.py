@@ -1,7 +1,5 @@
 """Recordings of the simulated practical bench as a drive would log them, without a bus."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

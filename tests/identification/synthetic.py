@@ -1,7 +1,5 @@
 """Recordings with known parameters, written from eq. 15 without the package's own friction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -105,10 +103,7 @@ def dense(matrix: BlockArrow) -> Array:
 
 
 def pressure_history(
-    time: Array,
-    angle: Array,
-    g: GasGenerator,
-    exact: bool = True,
+    time: Array, angle: Array, g: GasGenerator, exact: bool = True
 ) -> tuple[Array, Array, Array]:
     """Return pressure (Pa), web burnt (m) and the pressure's rate under a moving valve."""
     areas = throat_derivatives(angle, g.valve)

@@ -1,7 +1,5 @@
 """One choice of bandwidth and recordings, and the better of angle and velocity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -134,9 +132,7 @@ def test_what_a_recording_lacks_is_said() -> None:
     ("step", "velocity_step", "coarse"),
     [(1e-4, 1e-6, False), (0.05, 1e-6, True), (0.05, 0.5, False), (0.0, 1e-6, False)],
 )
-def test_the_finer_of_angle_and_velocity_is_used(
-    step: float, velocity_step: float, coarse: bool
-) -> None:
+def test_the_finer_of_angle_and_velocity_is_used(step, velocity_step, coarse):
     def rounded(values: Array, by: float) -> Array:
         return np.round(values / by) * by if by else values
 

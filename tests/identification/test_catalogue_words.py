@@ -2,8 +2,6 @@
 exist.
 """
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 from string import Formatter
@@ -46,9 +44,7 @@ def test_an_entry_is_whole(entry: Effect) -> None:
 
 
 @pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
-def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
-    entry: Effect,
-) -> None:
+def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(entry):
     estimates = middle(entry)
     words = finding(entry, estimates, ("loaded_2",))
     assert "{" not in words
@@ -64,9 +60,7 @@ def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:
 
 
 @given(value=st.floats(1e-6, 1e5), share=st.floats(1e-4, 0.9))
-def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found(
-    value: float, share: float
-) -> None:
+def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found(value, share):
     width = 2.0 * share * value
     words = readable(Estimate(value, value - width / 2, value + width / 2, "N m"))
     printed, low, high = (

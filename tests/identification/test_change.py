@@ -1,11 +1,9 @@
 """The test for drift and steps over histories of constants: its rate of false alarms and power."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from identification.numerics.change import LEAST_RUNS, ChangeTest
+from identification.numerics.spread import LEAST_RUNS, ChangeTest
 
 CONSTANTS, RUNS = 9, 10
 SIGMA = 1.0

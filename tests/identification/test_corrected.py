@@ -2,8 +2,6 @@
 regressors and back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -123,10 +121,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         lambda v: asked(v) - built_up(v, 0.02, 0.2, 0.1),
     ),
     ("current_offset", "drive"): ({"current_A": 0.3}, lambda v: -0.9 * one(v)),
-    ("current_drift", "drive"): (
-        {"rate_A_s": 0.01},
-        lambda v: -0.03 * (v.time - v.time[0]),
-    ),
+    ("current_drift", "drive"): ({"rate_A_s": 0.01}, lambda v: -0.03 * (v.time - v.time[0])),
     ("asymmetric_coulomb", "torque"): ({"torque_Nm": 0.4}, lambda v: 0.4 * one(v)),
     ("asymmetric_viscous", "torque"): (
         {"coefficient_Nms_rad": -0.7},
@@ -194,10 +189,7 @@ FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
         {"slope_per_rad": 0.3},
         lambda v: 0.3 * load(v) * v.angle,
     ),
-    ("wrong_weight", "torque"): (
-        {"mass_kg": 25.0, "recording": 1.0},
-        lambda v: 0.25 * load(v),
-    ),
+    ("wrong_weight", "torque"): ({"mass_kg": 25.0, "recording": 1.0}, lambda v: 0.25 * load(v)),
     ("load_swing", "torque"): (
         {"fraction": 0.3, "frequency_Hz": 0.7, "decay_s": 3.0},
         lambda v: 0.3 * load(v) * np.cos(1.4 * np.pi * v.time) * np.exp(-v.time / 3.0),

@@ -1,7 +1,5 @@
 """The Cramer-Rao floor on data of the fitted model itself, and scores that scatter."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -101,9 +99,7 @@ def test_an_estimate_reaches_the_floor_and_none_beats_it(estimates: list[Refined
     assert 0.6 < over < 1.4  # 25 errors over their floors, correlated within a seed
 
 
-def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(
-    estimates: list[Refined],
-) -> None:
+def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(estimates):
     # Each comes from the scatter over a few stretches, so that it may fall below; their mean square
     # does not.
     over = np.array([np.diag(r.covariance) / np.diag(r.floor) for r in estimates])

@@ -1,9 +1,6 @@
 """The default method from end to end: recovery, refusals, lost samples, pieces."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -72,9 +69,7 @@ def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breaka
 @pytest.mark.parametrize(
     ("names", "loaded"), [(("Ms",), False), (("mu_s", "omega_sL"), True)], ids=["Ms", "mu_s"]
 )
-def test_fixed_values_are_held_through_the_refinement(
-    practical_pair: tuple[Recording, Recording], names: tuple[str, ...], loaded: bool
-) -> None:
+def test_fixed_values_are_held_through_the_refinement(practical_pair, names, loaded):
     recordings = tuple(beginning(r, FEW_S) for r in practical_pair[: 1 + loaded])
     result = identify(Dataset(recordings, Model(fixed={n: TRUTH[n] for n in names})))
     assert result.stages[-1].method == "prediction error"
@@ -82,9 +77,7 @@ def test_fixed_values_are_held_through_the_refinement(
         assert found == pytest.approx(TRUTH[name], rel=1e-12 if name in names else 0.008), name
 
 
-def test_hidden_ripple_leaves_the_values_of_the_equation_error(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_hidden_ripple_leaves_the_values_of_the_equation_error(practical_pair):
     """A torque over the angle as cogging makes it, which no nominal parameter can represent."""
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 1.0, 120.0)
     result = identify(Dataset((recording,)))
@@ -96,9 +89,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     assert result.values == {name: plain[name] for name in result.values}
 
 
-def test_the_equation_error_shows_missing_physics_before_any_search(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_the_equation_error_shows_missing_physics_before_any_search(practical_pair):
     recording = beginning(practical_pair[0], FEWER_S)
     noises = []
     for made in (recording, with_ripple(recording, 1.0, 120.0)):
@@ -148,9 +139,7 @@ def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, 
     assert scored.fit.validate_rms == pytest.approx(scored.fit.train_rms, rel=0.2)
 
 
-def test_a_recording_without_breakaways_leaves_the_others_their_refinement(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_a_recording_without_breakaways_leaves_the_others_their_refinement(practical_pair):
     moving = replace(beginning(practical_pair[0], FEW_S), name="moving")
     inside = (moving.time > 1.0) & (moving.time < 1.4)
     cut = {name: values[inside] for name, values in moving.channels.items()}
@@ -170,9 +159,7 @@ def test_exact_channels_are_not_refined() -> None:
     assert ["encoder" in w or "bootstrap" in w for w in result.warnings] == [True, True]
 
 
-def test_without_inertia_to_start_from_nothing_is_refined(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_without_inertia_to_start_from_nothing_is_refined(practical_pair):
     recording = practical_pair[0]
     acceleration = np.gradient(np.gradient(recording.channels["motor_angle"], 1e-3), 1e-3) / 100.0
     smooth = np.convolve(acceleration, np.ones(51) / 51.0, mode="same")
@@ -207,9 +194,7 @@ SHAKEN = changed(
         (SHAKEN, partial(identify, bandwidth_Hz=20.0), r"reverses \d+(\.\d)? times per second"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_with_what_is_missing(
-    recording: Recording, method: Callable[..., Identification], key: str
-) -> None:
+def test_what_cannot_be_fitted_is_refused_with_what_is_missing(recording, method, key):
     with pytest.raises(RecordingError, match=key):
         method(Dataset((recording,)), rng=np.random.default_rng(0))
 
@@ -233,9 +218,7 @@ def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Rec
 
 
 @pytest.mark.usefixtures("short_pieces")
-def test_pieces_give_what_the_whole_gives(
-    practical_pair: tuple[Recording, Recording], practical_result: Identification
-) -> None:
+def test_pieces_give_what_the_whole_gives(practical_pair, practical_result):
     whole, parts = practical_result, identify(Dataset(practical_pair), in_pieces=True)
     assert parts.warnings == ()
     assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
@@ -262,9 +245,7 @@ def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
     assert parts.values == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
 
 
-def test_the_path_follows_the_length(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_path_follows_the_length(practical_pair, monkeypatch):
     taken: list[bool] = []
     monkeypatch.setattr(default, "identify", lambda _, in_pieces, rng: taken.append(in_pieces))
     dataset = Dataset(practical_pair[:1])
@@ -314,9 +295,7 @@ def test_lost_samples_are_filled_and_the_others_kept(ppm: float) -> None:
     assert quantum(even.channels["angle"]) == pytest.approx(STEP)
 
 
-def test_long_holes_are_marked_and_their_stretch_is_left_out(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_long_holes_are_marked_and_their_stretch_is_left_out(practical_pair):
     whole = practical_pair[0]
     holed = lost(whole, 0.0, 0, slice(7000, 7060))
     found = evened(holed)
@@ -332,9 +311,7 @@ def test_what_is_uneven_throughout_is_refused() -> None:
 
 
 @pytest.mark.proof
-def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(practical_pair):
     pair = [lost(r, 0.01, k) for k, r in enumerate(practical_pair)]
     prepared = [prepare(r, 40.0) for r in pair]
     before, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)

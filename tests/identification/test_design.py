@@ -1,7 +1,5 @@
 """What a planned experiment pins, and the search for a better one."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -12,15 +10,7 @@ import pytest
 from identification.design import propose as proposing
 from identification.design import search
 from identification.design.propose import attained, expected, propose
-from identification.design.search import (
-    Bounds,
-    Draws,
-    Excitation,
-    Frame,
-    Part,
-    Ramps,
-    best_shares,
-)
+from identification.design.search import Bounds, Draws, Excitation, Frame, Part, Ramps, best_shares
 from identification.design.simulated import (
     NAMES,
     NOTHING,
@@ -195,9 +185,7 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
 
 @pytest.mark.proof
 @pytest.mark.usefixtures("few")
-def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch):
     stages = frames((0.0,))
     found = propose(stages, nominal(), BOUNDS, np.random.default_rng(1), weakest="J")
     assert found.stages != (Part(0, stages[0].present),)

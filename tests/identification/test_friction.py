@@ -1,7 +1,5 @@
 """The friction law and eq. 14: right where motion is uniform, known to be wrong elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,11 +16,7 @@ from identification.model.friction import (
     load_coefficient,
     system_friction,
 )
-from identification.model.parameters import (
-    ALPHA,
-    NOMINAL,
-    pack,
-)
+from identification.model.parameters import ALPHA, NOMINAL, pack
 from identification.numerics.compiled import compiled
 from identification.recording import Bench, Recording
 
@@ -44,9 +38,7 @@ def sure(speed: float, moment: float, gear: float, p: np.ndarray) -> tuple[float
 @pytest.mark.parametrize("alpha", [0.7, 2.0])
 @pytest.mark.parametrize("moment", [0.0, 40.0])
 @pytest.mark.parametrize("gear", [0.0, 3.0])
-def test_scalar_and_broadcasting_laws_are_the_same(
-    alpha: float, moment: float, gear: float
-) -> None:
+def test_scalar_and_broadcasting_laws_are_the_same(alpha, moment, gear):
     p = pack({**TRUTH, **GEAR}, alpha)
     speeds = np.geomspace(1e-6, 2.0, 40)
     bracket = {

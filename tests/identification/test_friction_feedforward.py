@@ -1,7 +1,5 @@
 """The torque of a commanded motion against numbers worked out by hand; gains over a bus."""
 
-from __future__ import annotations
-
 import cmath
 import math
 

@@ -1,7 +1,5 @@
 """The genetic algorithm, judged on functions whose minimum is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -48,9 +46,7 @@ def test_finds_the_minimum_of_a_convex_function(seed: int) -> None:
     scale=st.floats(0.0, 20.0),
     seed=st.integers(0, 1000),
 )
-def test_every_individual_is_inside_the_box(
-    low: list[float], width: float, scale: float, seed: int
-) -> None:
+def test_every_individual_is_inside_the_box(low, width, scale, seed):
     high = np.array(low) + width
     limits = GeneticSettings(generations=5, mutation_scale=scale)
     ga = GeneticAlgorithm(low, high, np.random.default_rng(seed), limits)
@@ -73,9 +69,7 @@ def test_every_individual_is_inside_the_box(
         ([0.0], [1.0], {"generations": 0}),
     ],
 )
-def test_settings_that_make_no_search_are_refused(
-    low: list[float], high: list[float], limits: dict[str, float]
-) -> None:
+def test_settings_that_make_no_search_are_refused(low, high, limits):
     with pytest.raises(ValueError, match=r"bounds|population"):
         GeneticAlgorithm(low, high, np.random.default_rng(0), GeneticSettings(**limits))  # type: ignore[arg-type]
 

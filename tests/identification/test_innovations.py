@@ -1,7 +1,5 @@
 """The prediction-error filter against an independent Kalman filter, and where a recording moves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -147,9 +145,7 @@ def at_truth(*recordings: Motion, free: tuple[int, ...] = ()) -> Point:
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
-def test_innovations_are_white_and_of_unit_size_at_the_truth(
-    motions: tuple[Motion, Motion], case: int
-) -> None:
+def test_innovations_are_white_and_of_unit_size_at_the_truth(motions, case):
     point = at_truth(motions[case])
     errors, deviations = point.run(likeliest_noise(point))
     found = errors / deviations
@@ -186,9 +182,7 @@ def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], no
         (1, 1.4, Noise(0.06)),
     ],
 )
-def test_sensitivities_are_the_slopes_of_the_predictions(
-    motions: tuple[Motion, Motion], case: int, alpha: float, noise: Noise
-) -> None:
+def test_sensitivities_are_the_slopes_of_the_predictions(motions, case, alpha, noise):
     """Every column by central differences of its own, breakaway times included one by one."""
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J", "offset") + (
         ("mu_c", "mu_s", "omega_sL", "mu_2") if case else ()
@@ -221,9 +215,7 @@ def first_segments(m: Motion, count: int) -> Motion:
 
 
 @pytest.mark.parametrize("shift_ms", [-3.0, 0.5, 3.5])
-def test_only_the_first_samples_feel_a_breakaway_time(
-    practical_pair: tuple[Recording, Recording], shift_ms: float
-) -> None:
+def test_only_the_first_samples_feel_a_breakaway_time(practical_pair, shift_ms):
     motions = [m for m in map(motion, practical_pair) if m is not None]
     point = Point.of(motions, pack(TRUTH, 2.0), [], Model(), Noise(0.06))
     held, x = point.weighted(), point.origin()
@@ -270,9 +262,7 @@ def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, R
 
 
 @pytest.mark.parametrize(("case", "weight"), [(0, 0.0), (1, 30.6)])
-def test_static_crossing_is_when_the_shaft_broke_away(
-    practical_pair: tuple[Recording, Recording], case: int, weight: float
-) -> None:
+def test_static_crossing_is_when_the_shaft_broke_away(practical_pair, case, weight):
     truth = simulated(10 * case, weight)
     found = motion_of(practical_pair[case])
     static = 12.025 + 0.095 * 10.0 * weight * 9.80665 * 0.086
@@ -282,9 +272,7 @@ def test_static_crossing_is_when_the_shaft_broke_away(
         assert when == pytest.approx(truth["time"][moving], abs=2e-3)
 
 
-def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(practical_pair):
     recording = practical_pair[1]
     smooth = motion_of(recording)
     first, last, side, _ = smooth.table[3]
@@ -306,9 +294,7 @@ def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
     assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
 
 
-def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(practical_pair):
     recording = practical_pair[0]
     exact = simulated(0, 0.0)["angle"] * 100.0
     jitter = recording.time + np.random.default_rng(0).uniform(0.0, 2e-4, len(recording.time))

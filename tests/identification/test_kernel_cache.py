@@ -1,7 +1,5 @@
 """Compiled kernels: their store on disk, the second thread, the exponential."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import logging
@@ -59,9 +57,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, copy: ModuleType) -> L
     return imported
 
 
-def test_a_kernel_is_loaded_until_a_shared_source_changes(
-    load: Load, copy: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kernel_is_loaded_until_a_shared_source_changes(load, copy, monkeypatch):
     assert load().shifted.stats.cache_misses
     assert load().shifted.stats.cache_hits
     monkeypatch.setattr(copy, "_shared_sources", lambda: "changed")
@@ -71,9 +67,7 @@ def test_a_kernel_is_loaded_until_a_shared_source_changes(
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("content", [b"", b"not a pickle"])
-def test_a_damaged_file_costs_a_compilation(
-    load: Load, tmp_path: Path, ending: str, content: bytes
-) -> None:
+def test_a_damaged_file_costs_a_compilation(load, tmp_path, ending, content):
     load()
     for file in (tmp_path / "__pycache__").glob(f"*.{ending}"):
         file.write_bytes(content)
@@ -81,9 +75,7 @@ def test_a_damaged_file_costs_a_compilation(
     assert load().shifted.stats.cache_hits
 
 
-def test_without_any_folder_a_kernel_computes_all_the_same(
-    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_any_folder_a_kernel_computes_all_the_same(load, tmp_path, monkeypatch, caplog):
     blocked = tmp_path / "blocked"
     blocked.write_bytes(b"")
     (tmp_path / "__pycache__").write_bytes(b"")
@@ -95,9 +87,7 @@ def test_without_any_folder_a_kernel_computes_all_the_same(
 
 
 @pytest.mark.parametrize("how", ["private", "writable by others", "a link", "a file"])
-def test_only_a_private_temporary_folder_is_used(
-    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_a_private_temporary_folder_is_used(how, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_, **__: False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "to be restored")

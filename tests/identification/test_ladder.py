@@ -1,7 +1,5 @@
 """Load-dependent friction recovered, the ladder, and a model carried over."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Damped searches, linear problems within bounds, and a Jacobian kept as an arrow."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -165,9 +163,7 @@ def arrow(seed: int, rows: int, parameters: int, stretches: int) -> BlockArrow:
 
 
 @given(st.integers(0, 1000), st.integers(0, 40), st.integers(0, 4), st.integers(1, 6))
-def test_products_are_those_of_the_dense_matrix(
-    seed: int, rows: int, parameters: int, stretches: int
-) -> None:
+def test_products_are_those_of_the_dense_matrix(seed, rows, parameters, stretches):
     one = arrow(seed, rows, parameters, stretches)
     rng = np.random.default_rng(seed + 1)
     other = BlockArrow(

@@ -1,14 +1,12 @@
 """The library as its users import it: data in, results out, nothing else loaded or printed."""
 
-from __future__ import annotations
-
 import doctest
 import json
 import math
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -62,9 +60,7 @@ def test_the_guide_is_a_session_that_runs() -> None:
 
 
 @pytest.mark.proof
-def test_the_tutorial_goes_from_a_csv_to_a_corrected_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tutorial_goes_from_a_csv_to_a_corrected_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run_page("tutorials/python")
 
@@ -161,6 +157,15 @@ def test_a_model_that_contradicts_itself_is_an_error(given: dict[str, Any]) -> N
         lr.Model(**given)
 
 
+def test_a_model_that_lacks_something_is_said_to(found: Any) -> None:
+    plain = noisy()
+    torque = plain.channels["torque"] + 20.0 * plain.channels["angle"]
+    lacking = lr.identify(lr.Recording(plain.time, plain.channels["angle"], torque=torque), rng=0)
+    assert not found.misfit
+    assert "above_noise_floor" in lacking.misfit
+    assert lacking.misfit_words in lacking.warnings[0]
+
+
 def test_a_model_says_what_is_free(found: Any) -> None:
     assert {*lr.Model().free} == {*SYSTEM, *LOAD} == {*found.values}
     assert {*lr.Model(fixed={"J": 1.0}, terms=("offset",)).free} == {*SYSTEM, *LOAD, "offset"} - {
@@ -249,9 +254,7 @@ def test_another_inertia_takes_another_torque() -> None:
         ("current_offset", {"current_A": 0.3}, lambda s: 0.9),
     ],
 )
-def test_effects_act_in_the_loop(
-    effect: str, parameters: dict[str, float], torque: Callable[[Any], Any]
-) -> None:
+def test_effects_act_in_the_loop(effect, parameters, torque):
     given = {f"{effect}.{name}": value for name, value in parameters.items()}
     plain = lr.simulate(TRUTH, SWING, draws=0)
     found = lr.simulate({**TRUTH, **given}, SWING, draws=0)

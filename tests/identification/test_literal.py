@@ -1,7 +1,5 @@
 """The literal bench: noise-free exact channels at 1 kHz, where all nine come back, J included."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,8 +2,6 @@
 steps lead nowhere.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

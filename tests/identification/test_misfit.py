@@ -1,7 +1,5 @@
 """A model that does not describe the machine: the noise floor, the codes, and the intervals."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

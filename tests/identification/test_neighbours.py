@@ -1,7 +1,5 @@
 """The loaded stage's search goes on from far from and near to the best end of its starts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -98,9 +96,7 @@ def recorded(begun: list[float], chi2: Callable[[float], tuple[float, float] | N
     return solved
 
 
-def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(monkeypatch):
     begun: list[float] = []
 
     def ended(inertia: float) -> tuple[float, float]:
@@ -134,9 +130,7 @@ def test_where_physics_is_missing_two_starts_are_followed_by_a_likelier_one_only
     assert (best.chi2, len(chi2s)) == (40.0, len(begun))
 
 
-def test_ends_with_an_accepted_noise_are_followed_by_all_starts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_ends_with_an_accepted_noise_are_followed_by_all_starts(monkeypatch):
     begun: list[float] = []
     monkeypatch.setattr(searches, "_solved_from", recorded(begun, lambda inertia: (40.0, inertia)))
     monkeypatch.setattr(searches, "breakaway_starts", lambda point, *_: [point] * 2)

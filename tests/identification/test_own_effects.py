@@ -1,15 +1,17 @@
 """Effects of one's own: what a definition finds out, what is wrong with one, and its responses."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import identification as lr
 from identification.effects import EFFECTS, EffectError, OwnEffect, with_own
+from identification.effects.model import CorrectedModel
 from identification.effects.own import Seen, dimensions, sampled, samples_of
+from identification.effects.prediction import Fitted, predict
+from identification.numerics.spread import Spread
 from identification.recording import Bench, Recording
 from identification.views.nominal import Nominal
 from identification.views.view import View, views
@@ -53,9 +55,7 @@ def refusal(tmp_path: Path, text: str) -> str:
     return str(refused.value)
 
 
-def test_parameters_are_linear_or_searched_and_signals_are_known(
-    six: dict[str, OwnEffect],
-) -> None:
+def test_parameters_are_linear_or_searched_and_signals_are_known(six):
     found = {n: (e.coefficients, e.nonlinear, e.size) for n, e in six.items()}
     assert found == {
         "root_drag": (("c",), (), None),
@@ -72,9 +72,7 @@ def test_parameters_are_linear_or_searched_and_signals_are_known(
     assert all(e.problems() == [] for e in six.values())
 
 
-def test_the_trials_stay_within_the_range_and_the_search_little_beyond(
-    six: dict[str, OwnEffect],
-) -> None:
+def test_the_trials_stay_within_the_range_and_the_search_little_beyond(six):
     entry = six["speed_resonance"]
     low = np.array([q.low for q in entry.parameters[1:]])
     high = np.array([q.high for q in entry.parameters[1:]])
@@ -123,9 +121,7 @@ def fade(s, p):
     assert entry.at({"w": 0.3}, Nominal({}, (), 2.0)) == ((0.3,), (1.0,))
 
 
-def test_a_compiled_function_of_samples_is_that_of_python(
-    six: dict[str, OwnEffect], view: View
-) -> None:
+def test_a_compiled_function_of_samples_is_that_of_python(six, view):
     nominal = Nominal({}, (), 2.0)
     for name in ("lagged_drag", "seal_drag"):
         entry = six[name]
@@ -138,9 +134,7 @@ def test_a_compiled_function_of_samples_is_that_of_python(
         assert fast == pytest.approx(plain, abs=1e-12), name
 
 
-def test_a_function_that_is_not_compiled_still_works(
-    tmp_path: Path, view: View, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_function_that_is_not_compiled_still_works(tmp_path, view, caplog):
     text = """
 def helper(w):
     return w
@@ -184,9 +178,7 @@ def helped(s, x, dt, p):
         ('class A(OwnEffect):\n    parameters = {"c": ("", 0, 1)}\n', "A:", "transmission"),
     ],
 )  # fmt: skip
-def test_a_wrong_definition_is_refused_with_its_place(
-    text: str, place: str, words: str, tmp_path: Path
-) -> None:
+def test_a_wrong_definition_is_refused_with_its_place(text, place, words, tmp_path):
     found = refusal(tmp_path, text)
     assert place in found
     assert words in found
@@ -237,3 +229,33 @@ def test_the_catalogue_stays_as_it_is(six: dict[str, OwnEffect], tmp_path: Path)
         with_own([same])
     with pytest.raises(EffectError, match="root_drag: there is an effect of this name"):
         with_own([six["root_drag"], six["root_drag"]])
+
+
+def test_a_prediction_draws_and_takes_effects_of_ones_own(
+    six: dict[str, OwnEffect], view: View
+) -> None:
+    spring, nominal = six["cubic_spring"], {"J": 0.2, "Mc": 5.0, "sigma_2": 1.0}
+    model = CorrectedModel(
+        nominal, effects={"cubic_spring": {"k": 50.0}}, catalogue=with_own([spring])
+    )
+    fitted = Fitted(model, Spread(("cubic_spring.k",), np.array([[4.0]]), np.inf))
+    drawn = predict(fitted, view.recording, "motion", rng=np.random.default_rng(0))
+    known = np.isfinite(drawn.torque)
+    assert np.max((drawn.high["torque"] - drawn.low["torque"])[known]) > 0.1
+    flat = {**nominal, "cubic_spring.k": 50.0}
+    file = {
+        "parameters": {n: {"value": v, "unit": ""} for n, v in nominal.items()},
+        "alpha": 2.0,
+        "effects": {"cubic_spring": {"k": 50.0}},
+    }
+    for given in (flat, file):
+        found = lr.simulate(given, view.recording, given="motion", effects=[spring], draws=0)
+        assert np.allclose(found.torque[known], drawn.torque[known], rtol=1e-3)
+        with pytest.raises(lr.RecordingError, match="effects="):
+            lr.simulate(given, view.recording)
+    with pytest.raises(lr.RecordingError, match="lacks width"):
+        lr.simulate(
+            {"speed_resonance.torque": 1.0, "speed_resonance.speed": 0.3},
+            view.recording,
+            effects=[six["speed_resonance"]],
+        )

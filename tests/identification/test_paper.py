@@ -1,7 +1,5 @@
 """The paper's staged method, its optimiser, and the comparison of estimators."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -86,9 +84,7 @@ def test_fixed_parameters_are_kept() -> None:
     ("recordings", "key"),
     [((LOADED,), "unloaded"), ((SLOW, replace(LOADED, weight_mass=0.0)), "weight_mass")],
 )
-def test_a_stage_that_cannot_be_fitted_is_refused(
-    recordings: tuple[Recording, ...], key: str
-) -> None:
+def test_a_stage_that_cannot_be_fitted_is_refused(recordings, key):
     with pytest.raises(RecordingError, match=key):
         fit(*recordings, generations=5)
 
@@ -119,9 +115,7 @@ def test_a_search_comes_near_the_truth_and_repeats(exact: StageProblem, name: st
 
 
 @pytest.mark.proof
-def test_the_default_method_wins_on_the_practical_bench(
-    practical_pair: tuple[Recording, Recording], practical_result: Identification
-) -> None:
+def test_the_default_method_wins_on_the_practical_bench(practical_pair, practical_result):
     table = {c.name: c for c in compare(Dataset(practical_pair), practical_result, truth=TRUTH)}
     default = table.pop(DEFAULT)
     for rival in table.values():

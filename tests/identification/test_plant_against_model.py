@@ -4,8 +4,6 @@ case.
 And, with more room, on what the gas generator may hide.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,11 +15,7 @@ from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_generator as kernel
 from identification.model.friction import load_coefficient, system_friction
-from identification.model.gas_generator import (
-    GasGenerator,
-    constants,
-    throat_derivatives,
-)
+from identification.model.gas_generator import GasGenerator, constants, throat_derivatives
 from identification.model.gas_generator import throat_area as believed_throat
 
 from .synthetic import TRUTH, pressure_history
@@ -71,9 +65,7 @@ def test_a_burn_under_a_swinging_valve(equation: int) -> None:
         ("leakage", {"area_m2": (kernel.LEAK, 2e-5)}, 2e-4),
     ],
 )
-def test_what_the_gas_generator_hides(
-    name: str, sizes: dict[str, tuple[int, float]], within: float
-) -> None:
+def test_what_the_gas_generator_hides(name, sizes, within):
     g = GasGenerator()
     plant = Machine(effects={name: {key: size for key, (_, size) in sizes.items()}})
     true = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT)), SWING, 0.005, steps=20)

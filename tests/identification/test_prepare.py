@@ -1,7 +1,5 @@
 """The equation-error view of a recording: alignment, torque sources, rests, one filter for all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -217,9 +215,7 @@ def test_missing_channels_are_named(change: dict[str, np.ndarray | None], messag
         (1e-9, 5.0, "needs at least 32000"),  # refused before the filter is built
     ],
 )
-def test_a_bandwidth_that_rate_or_length_do_not_allow(
-    bandwidth: float, duration: float, key: str
-) -> None:
+def test_a_bandwidth_that_rate_or_length_do_not_allow(bandwidth, duration, key):
     with pytest.raises(RecordingError, match=key):
         prepare(sine(duration=duration), bandwidth)
 

@@ -1,7 +1,5 @@
 """Priors of parameters, and the uncertainty of known constants in their intervals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

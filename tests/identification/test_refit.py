@@ -1,7 +1,5 @@
 """Taking out what was found gives the nominal parameters back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

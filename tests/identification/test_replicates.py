@@ -1,7 +1,5 @@
 """By how much the likelihood is off and how sure an estimate is, by replicates of the recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,25 +13,16 @@ from hypothesis.extra.numpy import arrays
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
 from identification.estimate import replicates
 from identification.estimate.covariance import bound, covariances
-from identification.estimate.inertia import (
-    Equation,
-    inflation_factors,
-    least_variance,
-    mean_curve,
-)
+from identification.estimate.inertia import Equation, inflation_factors, least_variance, mean_curve
 from identification.estimate.refinement import Found, _unbiased
-from identification.estimate.replicates import (
-    Bias,
-    likelihood_bias,
-    logged_share,
-)
+from identification.estimate.replicates import Bias, likelihood_bias, logged_share
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.likelihood import HUBER_THRESHOLD, Point, likeliest_noise, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
-from identification.recording import Array, Model, Recording
+from identification.recording import Model, Recording
 from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
@@ -211,9 +200,7 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
 )
-def test_the_mean_of_two_equations_has_no_more_variance_than_either(
-    one: Array, other: Array
-) -> None:
+def test_the_mean_of_two_equations_has_no_more_variance_than_either(one, other):
     found = least_variance(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
@@ -221,9 +208,7 @@ def test_the_mean_of_two_equations_has_no_more_variance_than_either(
         assert found.influence == pytest.approx(one)
 
 
-def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow() -> (
-    None
-):
+def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow():
     point = at(STICKY, [beginning(r, 12.0) for r in sticky(0)[:1]], SYSTEM)
     bias = likelihood_bias(point, SYSTEM, chance(), ReplicateSettings(turns=1))
     assert len({r.noise for r in bias.replicates}) >= 3

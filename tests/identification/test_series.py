@@ -1,7 +1,5 @@
 """Regressors with a state, waves, sums over blocks and least squares against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

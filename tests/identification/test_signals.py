@@ -1,7 +1,5 @@
 """Quantisation, differentiation, filtering, decimation and tracking against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -35,9 +33,7 @@ TIME = np.arange(4000) / RATE
         lambda steps: sum(abs(s) == 1 for s in steps) > 8
     ),
 )
-def test_quantum_is_the_step_of_an_encoder_after_any_scale_and_offset(
-    unit: float, offset: float, counts: list[int]
-) -> None:
+def test_quantum_is_the_step_of_an_encoder_after_any_scale_and_offset(unit, offset, counts):
     values = np.cumsum(np.array(counts)) * unit + offset * unit
     assert quantum(values) == pytest.approx(unit, rel=1e-6)
 
@@ -123,9 +119,7 @@ def test_decimator_is_the_plain_convolution_at_every_length(length: int) -> None
 
 
 @given(st.lists(st.integers(0, 499), max_size=5), st.sampled_from([20.0, 40.0, 150.0]))
-def test_untouched_is_exactly_what_no_bad_sample_can_change(
-    bad: list[int], bandwidth: float
-) -> None:
+def test_untouched_is_exactly_what_no_bad_sample_can_change(bad, bandwidth):
     low_pass = decimator(RATE, bandwidth)
     marks = np.zeros(500, dtype=bool)
     marks[bad] = True

@@ -1,10 +1,7 @@
 """The forward simulation, and loads that pull the same way at every angle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -178,10 +175,7 @@ def lifting(hoist: Hoist, drag_N_m: float = 0.0) -> Recording:
     torque = bare.channels["torque"] + hoist.mass * G * hoist.radius + drag_N_m
     torque = torque + hoist.mass * hoist.radius**2 * acceleration
     return replace(
-        bare,
-        channels={**bare.channels, "torque": torque},
-        hoist=hoist,
-        constant_torque=-drag_N_m,
+        bare, channels={**bare.channels, "torque": torque}, hoist=hoist, constant_torque=-drag_N_m
     )
 
 
@@ -207,9 +201,7 @@ def test_a_predicted_torque_leaves_known_loads_to_themselves(pendulum: Pendulum 
     assert abs(np.mean(predicted.error)) < 0.01
 
 
-def test_the_likelihood_takes_the_hoisted_mass(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_the_likelihood_takes_the_hoisted_mass(practical_pair):
     bare = motion(practical_pair[0])
     hung = motion(replace(practical_pair[0], hoist=Hoist(2.0, 0.3), constant_torque=0.5))
     assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
@@ -227,9 +219,7 @@ def test_the_likelihood_takes_the_hoisted_mass(
         ({"hoist": Hoist(3.0), "constant_torque": 3.0 * G}, False),
     ],
 )
-def test_friction_may_grow_with_any_torque_that_the_joint_bears(
-    load: dict[str, Any], borne: bool
-) -> None:
+def test_friction_may_grow_with_any_torque_that_the_joint_bears(load, borne):
     here, joint = views_and_fit(Dataset((replace(sine(), **load),), Model()), 25.0)
     term = next(t for t in MOTION if t.name == "load_dependent_friction")
     assert bool(term.shapes(Context(here, joint.nominal))) is borne
@@ -274,9 +264,7 @@ def recorded(loop: Loop, late: int = 1, noise: float = 0.06, seed: int = 0) -> R
 @pytest.mark.parametrize(
     ("velocity", "position", "integral"), [(120.0, 60.0, 60.0), (60.0, 25.0, 50.0)]
 )
-def test_the_gains_are_those_of_the_drive(
-    velocity: float, position: float, integral: float
-) -> None:
+def test_the_gains_are_those_of_the_drive(velocity, position, integral):
     found = drive_loop(
         [recorded(Loop(position, velocity, integral, 400.0, 75.0, STEP))], 75.0, STEP
     )

@@ -2,8 +2,6 @@
 ranked on another mass.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -68,9 +66,7 @@ def test_constants_are_recovered_from_noisy_loops() -> None:
     assert found.scored.low <= found.scored.value
 
 
-def test_a_motor_stronger_than_declared_is_reported_as_moved(
-    loops: dict[tuple[str, bool], SimulatedRung],
-) -> None:
+def test_a_motor_stronger_than_declared_is_reported_as_moved(loops):
     found = {c.name: c for c in loops[TRANSMITTED, True].constants}
     drive = found[PER_VOLT]
     assert DECLARED.resistance is not None
@@ -84,9 +80,7 @@ def test_a_motor_stronger_than_declared_is_reported_as_moved(
 
 
 @pytest.mark.proof
-def test_a_stated_deviation_holds_a_constant(
-    loops: dict[tuple[str, bool], SimulatedRung],
-) -> None:
+def test_a_stated_deviation_holds_a_constant(loops):
     sure = {"bench.torque_constant": 5e-4, "bench.resistance": 4e-3}
     recordings = tuple(replace(r, uncertainties=sure) for r in fitted())
     found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
@@ -97,9 +91,7 @@ def test_a_stated_deviation_holds_a_constant(
     assert found.scored is None
 
 
-def test_the_rung_that_made_the_data_predicts_another_mass_best(
-    loops: dict[tuple[str, bool], SimulatedRung],
-) -> None:
+def test_the_rung_that_made_the_data_predicts_another_mass_best(loops):
     scored = {key: rung.scored.value for key, rung in loops.items() if rung.scored}
     assert scored[TRANSMITTED, True] < 0.7 * scored["stribeck_load_dependent", True]
     assert scored["stribeck_load_dependent", True] < 0.7 * scored["stribeck", True]

@@ -1,8 +1,7 @@
 """Intervals, likelihood profiles, bootstrap and trade-offs."""
 
-from __future__ import annotations
-
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -109,9 +108,7 @@ def test_static_friction_without_a_rise_is_withheld_with_words() -> None:
 
 
 @pytest.mark.parametrize(("noise_N_m", "seed"), [(0.0, 0), (0.02, 1), (0.2, 2)])
-def test_static_friction_is_withheld_where_its_falling_part_is_not_seen(
-    noise_N_m: float, seed: int
-) -> None:
+def test_static_friction_is_withheld_where_its_falling_part_is_not_seen(noise_N_m, seed):
     """No sample is slower than 8 omega_sf, so nothing says how high friction rises toward rest."""
     rng = np.random.default_rng(seed)
     fast = sine(
@@ -150,9 +147,7 @@ def test_every_fitted_parameter_has_one(profiled: Identification) -> None:
         assert curve.unit == profiled.parameters[curve.name].unit
 
 
-def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(
-    profiled: Identification,
-) -> None:
+def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(profiled):
     for curve in profiled.profiles:
         p = profiled.parameters[curve.name]
         half = 0.5 * (p.high - p.low)
@@ -160,9 +155,7 @@ def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(
         assert curve.high == pytest.approx(p.high, abs=0.05 * half), curve.name
 
 
-def test_a_profile_is_the_least_cost_with_that_value_held(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_a_profile_is_the_least_cost_with_that_value_held(practical_pair):
     """Against another search over the others, from their values at the estimate."""
     refined = refine(practical_pair[0], Model(fixed={"J": TRUTH["J"]}))
     (curve,) = (c for c in profiles(refined, UNITS) if c.name == "sigma_2")
@@ -280,4 +273,4 @@ def test_what_does_not_trade_off_is_not_told() -> None:
     independent = Spread(("Mc", "J"), np.diag([1e-6, 1e-4]), math.inf)
     assert tradeoffs(independent, TRUTH, UNITS_ROTARY) == ()
     line = least_pinned(independent, TRUTH)
-    assert line.startswith("least determined is J alone: relative standard deviation 4.9 %")
+    assert re.search(r"\bJ alone\b.* 4\.9 %", line)

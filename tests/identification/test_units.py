@@ -1,19 +1,12 @@
 """Units of rotary and linear benches, and the names that text shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.statement import sentence
 from identification.effects import EFFECTS
-from identification.model.parameters import (
-    parameter_title,
-    parameter_unit,
-    torque_word,
-    unit_on,
-)
+from identification.model.parameters import parameter_title, parameter_unit, torque_word, unit_on
 from identification.prepare import drive_channel, torque_unit
 from identification.recording import Bench, Recording
 
@@ -44,9 +37,7 @@ def test_a_unit_on_a_linear_bench(unit: str, linear: str, amperes: str) -> None:
         (("voltage",), "linear", "voltage", "A"),
     ],
 )
-def test_the_logged_quantity_is_named(
-    channels: tuple[str, ...], motion: str, word: str, unit: str
-) -> None:
+def test_the_logged_quantity_is_named(channels, motion, word, unit):
     time = np.arange(4) * 1e-3
     recording = Recording(
         time, time, channels=dict.fromkeys(channels, time), bench=Bench(motion=motion)

@@ -1,7 +1,5 @@
 """Areas of the swinging gate, and what presses on it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

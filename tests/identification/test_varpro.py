@@ -1,7 +1,5 @@
 """Both stages by variable projection, on noise-free data with known parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -50,11 +48,7 @@ def test_other_stribeck_exponents(alpha: float) -> None:
     assert_close(estimate(Model(alpha=alpha), *recordings), TRUTH, 1e-6)
 
 
-@pytest.mark.parametrize(
-    "names",
-    [("Ms",), ("omega_sf", "J"), ("mu_s", "omega_sL")],
-    ids="+".join,
-)
+@pytest.mark.parametrize("names", [("Ms",), ("omega_sf", "J"), ("mu_s", "omega_sL")], ids="+".join)
 def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:
     found = estimate(Model(fixed={n: TRUTH[n] for n in names}), sine(), sine(weight=WEIGHT_KG))
     assert_close(found, TRUTH, 1e-6)
@@ -76,10 +70,7 @@ def test_friction_that_falls_toward_rest_ends_on_the_bound() -> None:
 
 @pytest.mark.parametrize(
     "fixed",
-    [
-        {"Mc": 7.0, "Ms": 11.5},
-        {"omega_sL": 0.03, "mu_c": 0.05},
-    ],
+    [{"Mc": 7.0, "Ms": 11.5}, {"omega_sL": 0.03, "mu_c": 0.05}],
     ids=lambda fixed: "+".join(fixed),
 )
 def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> None:

@@ -3,8 +3,6 @@
 Explicit Euler at 0.1 ms; friction stops the joint where it would reverse it within a step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Literal

@@ -208,7 +208,6 @@ class Served:
         # Asked after a long pause, the machine would take long to catch up, and the answer come too
         # late.
         bench = self._bench
-        assert bench is not None
         if isinstance(bench, SimulatedBench):
             bench.drive.refresh()
         self._angles.append(
@@ -228,7 +227,6 @@ class Served:
             if now_ns - before > _PAUSE_NS:
                 self._pauses.append((now_ns, now_ns - before))
             before = now_ns
-            assert self._bench is not None
             clock = self._bench.clock
             due = clock.next_event_ns()
             now = time.monotonic_ns() + self._ahead_ns
@@ -249,7 +247,6 @@ class Served:
         self._bench.bus.shutdown()
 
     def _obey(self, order: str, *words: str) -> dict[str, Any]:
-        assert self._bench is not None
         match order:
             case "renew":
                 return self._renew()

@@ -2,8 +2,6 @@
 them.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -203,7 +201,6 @@ def bench_process(transport: str) -> Iterator[Bench]:
     with subprocess.Popen(
         words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
     ) as process:
-        assert process.stdin is not None
         try:
             yield Bench(transport, process)
         finally:

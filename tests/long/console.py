@@ -2,8 +2,6 @@
 keyboard.
 """
 
-from __future__ import annotations
-
 import fcntl
 import io
 import json

@@ -4,8 +4,6 @@
 Each document has a folder of its own, in which its blocks run one after the other.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

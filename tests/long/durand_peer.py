@@ -11,8 +11,6 @@ succeeds, the drive ends without power, and it was in fault only in the step of 
 that provokes a fault.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math
@@ -211,14 +209,7 @@ class Plant:
         self.current = mean
 
 
-STATUS = {
-    "off": 0x40,
-    "ready": 0x31,
-    "on": 0x33,
-    "run": 0x37,
-    "quick stop": 0x17,
-    "fault": 0x08,
-}
+STATUS = {"off": 0x40, "ready": 0x31, "on": 0x33, "run": 0x37, "quick stop": 0x17, "fault": 0x08}
 POWERED = ("on", "run", "quick stop")
 
 
@@ -534,7 +525,6 @@ def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
             text=True,
         )
         try:
-            assert process.stdout is not None
             path = process.stdout.readline().strip()
             if not path:
                 raise RuntimeError((folder / "peer.err").read_text())
@@ -542,7 +532,6 @@ def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
         finally:
             process.kill()
             process.wait()
-            assert process.stdout is not None
             process.stdout.close()
 
 

@@ -1,7 +1,5 @@
 """Faults of a run over CANopen, and what must come of each in each phase."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -130,9 +128,7 @@ SIGNS: Mapping[str, Case] = {
 }
 CASES: Mapping[str, Case] = {
     "one frame lost": Case(
-        (fault("bus", "lost"),),
-        RIDES,
-        at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED),
+        (fault("bus", "lost"),), RIDES, at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED)
     ),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),

@@ -1,7 +1,5 @@
 """Faults of a drive with CAN frames of its own, where they differ from CANopen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ Only the steps up to the homing are done; its time, messages, protocol and recor
 the command. Times are simulated; "off" is when the simulated power stage went off for good.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -134,10 +132,7 @@ def _hang(cycle: Cycle) -> None:
 
 
 HOST: Final[Mapping[str, tuple[Callable[[Cycle], None], HomingCase]]] = {
-    "Ctrl-C": (
-        _press,
-        HomingCase(lambda *_: None, "stopped by the operator", exit_status=3),
-    ),
+    "Ctrl-C": (_press, HomingCase(lambda *_: None, "stopped by the operator", exit_status=3)),
     "control loop hangs 0.5 s": (
         _hang,
         HomingCase(lambda *_: None, "8130h|late|heartbeat|sample age", within_s=0.7),

@@ -1,12 +1,10 @@
 """Faults of drives of common makes over CANopen, where they differ from the simulated drive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 
 from .fault_cases import (
     BRAKE_S,

@@ -1,7 +1,5 @@
 """Faults of an EPOS4 on a serial line with an AMT21 encoder, where they differ from CANopen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -148,7 +146,7 @@ _DEAD: Mapping[str, Case] = {
         (fault("host", "killed"),),
         Must(-9, verified=False, stays_on=True),
         at(NO_POWER, Must(-9, "", 0.0, verified=False)),
-    ),
+    )
 }
 """The guardian is a process of its own, for real ports: see tests/long/moments.py.
 

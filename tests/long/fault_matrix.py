@@ -7,8 +7,6 @@ simulated; "off" is when the simulated power stage went off for good, if no curr
 simulated motor and the joint rests at the end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -38,11 +36,7 @@ PAGE = Path("out/fault_matrix.md")
 
 TRANSPORTS: Mapping[str, Transport] = {
     "CANopen": Transport("practical", CASES),
-    "EPOS serial": Transport(
-        "practical_serial",
-        SERIAL,
-        in_reaction="not OPERATION ENABLED",
-    ),
+    "EPOS serial": Transport("practical_serial", SERIAL, in_reaction="not OPERATION ENABLED"),
     "CAN frames of its own (DBC)": Transport(
         "practical_dbc",
         DBC,

@@ -8,8 +8,6 @@ as it states or refused in words; logs of every format, each read to the last bi
 said, and damaged ones. What ends the program is told with its number.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import logging

@@ -4,8 +4,6 @@ with the effects of the blind proof, on stiff and soft drives, with and without 
 Run from the root of the repository; takes five minutes.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ drive in these modes. Over the serial line of the EPOS4 run the objects of three
 drives speak that protocol.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -21,12 +19,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.mock.makes import MAKES, description
+from drivers.mock.traits import MAKES
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
 from rig.config.configuration import names, resolve
 from rig.control.cycle import Cycle
 from rig.runs.recorded_inputs import true_parameters
+from tests.drivers.makes import description
 
 from . import fault_matrix
 from .console import rig

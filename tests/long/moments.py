@@ -15,8 +15,6 @@ watchdog of the drive over slcan, and a recording that ends no more than 0.2 s e
 every third one is resumed: it must begin at the first unfinished stage and end with all done.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import queue

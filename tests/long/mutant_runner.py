@@ -4,8 +4,6 @@ The parent has imported libraries and nothing of the project; each child imports
 in the place of the module, and everything else anew.
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import os

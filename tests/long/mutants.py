@@ -3,8 +3,6 @@
 What lives on is printed; it is either missing from the tests or argued in :data:`ARGUED`.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os
@@ -47,10 +45,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo.py",
     ),
-    "drivers.dbc.servo": (
-        "tests/drivers/test_dbc_servo.py",
-        "tests/drivers/test_readings.py",
-    ),
+    "drivers.dbc.servo": ("tests/drivers/test_dbc_servo.py", "tests/drivers/test_readings.py"),
 }
 """Module to the tests that guard it."""
 

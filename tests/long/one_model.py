@@ -10,8 +10,6 @@ missing* must not be said with an error above 1.5 noise floors or of a model tha
 half of the torque.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -5,8 +5,6 @@ All times in s of real time, with the benches of :mod:`tests.long.benches` at 10
 stated once, here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

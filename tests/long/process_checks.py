@@ -1,7 +1,5 @@
 """What is held against what must be, once something has befallen the process of a run."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -6,8 +6,6 @@ tables to out/process_matrix.md. `--only WORDS`, names of columns, transports or
 separated by commas, runs the cells that match all names and prints the result only.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -166,7 +164,6 @@ def befall(scene: Scene) -> int:
         case "line garbage":
             return scene.bench.garbage(len(scene.phase))
         case "second program":
-            assert scene.second is not None
             scene.second.open_gate()
         case "terminal stalled":
             console.key(STOP_KEY)

@@ -11,8 +11,6 @@ time; what late cycles leave unidentifiable is shown as such. The machine should
 to do.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

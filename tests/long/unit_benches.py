@@ -1,7 +1,5 @@
 """Draws simulated benches, right ones and such with a mistake in units, signs or constants."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable
@@ -15,9 +13,8 @@ import yaml
 from drivers.clock import Clock
 from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.makes import MAKES, description
 from drivers.mock.plant.parts.constants import Joint
-from drivers.mock.traits import CSP
+from drivers.mock.traits import CSP, MAKES
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator
@@ -29,6 +26,7 @@ from rig.runs.run import RunFolder, create_folder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
+from tests.drivers.makes import description
 
 TENFOLD = "tenfold speed"
 """A unit of the speed ten times finer than the stated one; not part of the table of the study."""
@@ -133,10 +131,7 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
         "mock": {
             "motor": motor,
             "joint": joint,
-            "loops": {
-                "position_gain": float(rng.uniform(20, 70)),
-                "current_limit_A": limit_A,
-            },
+            "loops": {"position_gain": float(rng.uniform(20, 70)), "current_limit_A": limit_A},
             "sensing": sensing,
             "supply_V": supply,
         },

@@ -6,8 +6,6 @@ Passes where every mistake is found before full amplitude, with the right factor
 is refused. Writes its table to the terminal.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -7,8 +7,6 @@ descriptor behind it, so that a harness can do its deed at the very beginning of
 milliseconds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -2,8 +2,6 @@
 demand.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -272,11 +270,8 @@ def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Render no figure and no certificate, which takes half of an identification and most of an
-    acceptance, in tests that look at none.
-    """
+    """Render no figure, which takes half of an identification, in tests that look at none."""
     monkeypatch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
-    monkeypatch.setattr("rig.results.acceptance.certificate.certificate_pdf", lambda made: b"%PDF")
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Hand-made diagnoses, one of each verdict: what a report must show whatever the numerics find."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

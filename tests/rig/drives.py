@@ -1,7 +1,5 @@
 """A drive for tests of what is done with one: it reports off, without current or motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -10,11 +8,7 @@ from rig.wiring.teardown import SafeState, make_safe
 
 
 def stopped_by_ramp(
-    servo: Any,
-    watch: Callable[[], ServoState | None],
-    clock: Any,
-    cycle_ns: int,
-    **options: bool,
+    servo: Any, watch: Callable[[], ServoState | None], clock: Any, cycle_ns: int, **options: bool
 ) -> SafeState:
     """Brake a drive and take its power off, with nobody in a hurry."""
     return make_safe(servo, watch, clock, cycle_ns, brake=True, hurry=lambda: False, **options)

@@ -7,8 +7,6 @@ lock obeys them in its place: ``note NAME``, ``release``; SIGUSR1 then makes the
 release. Each answers in a line what it has done.
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

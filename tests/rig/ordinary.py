@@ -1,7 +1,5 @@
 """The rights of an ordinary user, for tests that run as root: root reads and writes every file."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -3,8 +3,6 @@
 Libraries are imported before, as their versions for other systems need none of it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

@@ -1,7 +1,5 @@
 """Made-up trials and diagnoses that the workers of ``test_cluster`` can import."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import signal
@@ -13,21 +11,30 @@ import psutil
 
 from rig.results.prove import judge as judging
 from rig.results.prove import run
+from rig.results.prove import simulate as simulating
 from rig.results.prove.judge import Judgement
-from rig.results.prove.run import FAMILIES
-from rig.results.prove.truth import Sealed
+from rig.results.prove.run import Made, Task, made, making
+from rig.results.prove.truth import seal_truth
 
 DIES = "PROOF_PARTS_DIES"
 """Variable with a file: the first worker that does not find it makes it and is killed."""
 FIT = {"equation": "torque", "validate_baseline_rms": 2.0, "validate_final_rms": 1.0}
 
 
-def simulate(where: Sealed, assigned: Any, seed: Sequence[int]) -> dict[str, float]:
-    where.campaign.parent.mkdir(parents=True)
-    where.campaign.write_text(f"campaign: {list(seed)}\n")
-    (where.campaign.parent / "a.npz").write_bytes(bytes(seed))
-    where.truth.with_suffix(".floor.json").write_text('{"torque": 0.5}')
-    return {"current": 4.0}
+CAMPAIGN = """campaign: 1
+bench: {motion: rotary, torque_constant: 0.1}
+recordings: [{file: a.npz, channels: {time: t, angle: q, current: i}}]
+"""
+
+
+def seal(task: Task, seed: int) -> Made:
+    with making(task.number) as where:
+        for file in (where.campaign, where.reference):
+            file.parent.mkdir(parents=True)
+            file.write_text(CAMPAIGN)
+            (file.parent / "a.npz").write_bytes(bytes((seed, task.number)))
+        truth = {"effects": {name: {} for name in task.assigned[1]}, "strength": {"current": 4.0}}
+        return made(seal_truth(where, where.name, truth, task.salt))
 
 
 def judge(source: Path, seed: int) -> Judgement:
@@ -57,7 +64,7 @@ def judge(source: Path, seed: int) -> Judgement:
         "parameter_shift": {"Mc": {"before": 8.0, "after": 7.0, "unit": "N m"}},
         "p_value": value,
     }
-    return Judgement(record, {"sparse": ("cogging",)}, fit, os.getpid(), 1.0, {"torque": 1.0})
+    return Judgement(record, os.getpid(), {"torque": 1.0})
 
 
 def fit(names: Sequence[str]) -> Mapping[str, Any]:
@@ -91,7 +98,7 @@ def obey() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-QUICK = {name: family._replace(simulate=simulate) for name, family in FAMILIES.items()}
 if "PROOF_PARTS" in os.environ:
     # A process of the test, or one of its workers, which imports this module for its functions.
-    run.FAMILIES, judging.judge = QUICK, judge
+    run._seal, simulating.floors_of = seal, floors_of
+    judging.judge, judging.oracle_of = judge, oracle_of

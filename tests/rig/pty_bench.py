@@ -5,8 +5,6 @@ It lives in a process of its own, writes its paths as JSON in one line, then ans
 its input with how many bytes it has been sent.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -53,13 +51,11 @@ class PtyBench:
 
     def bytes_sent(self) -> int:
         """Return how many bytes programs have sent to it so far."""
-        assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()
         return int(self._line())
 
     def _line(self) -> str:
-        assert self._process.stdout is not None
         return self._process.stdout.readline()
 
 
@@ -71,7 +67,6 @@ def pty_bench(kind: str, folder: Path) -> Iterator[PtyBench]:
     with subprocess.Popen(
         words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
     ) as process:
-        assert process.stdin is not None
         try:
             yield PtyBench(process, kind, folder)
             process.stdin.close()

@@ -1,7 +1,5 @@
 """Clocks on one time base, stamps that jitter, and values that cannot be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -187,7 +185,6 @@ def test_jitter_of_any_distribution_gives_even_times(kind: str) -> None:
     }[kind]
     stamps = np.maximum.accumulate(true + PERIOD * late)
     found = even_stamps(stamps, angle_at(true))
-    assert found is not None
     offset = found[0] - true
     assert np.ptp(offset) < 0.03 * PERIOD
     assert np.mean(offset) == pytest.approx(PERIOD * np.mean(late), abs=0.02 * PERIOD)
@@ -210,7 +207,6 @@ def test_noise_that_hides_the_jitter_keeps_the_stamps() -> None:
 def test_lost_samples_are_allowed_for() -> None:
     kept = np.random.default_rng(5).uniform(size=COUNT) > 0.02
     found = even_stamps(jittering(0.05)[kept], angle_at(grid())[kept])
-    assert found is not None
     assert np.max(np.abs(found[0] - grid()[kept])) < 0.03 * PERIOD
 
 

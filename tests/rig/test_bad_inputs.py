@@ -1,15 +1,14 @@
 """Every command with every kind of file that it cannot use: a message, status 2, nothing else."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os
 import random
 import shutil
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from types import FrameType
 
@@ -21,15 +20,10 @@ from rig.cli.entry import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
 from rig.config.configuration import resolve
 from rig.wiring.connect import DRIVE_EDS
 
+from .benches import stages, swing
 from .ordinary import ordinary_user
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SEQUENCE = stages(swing("a"))
 CAMPAIGN = """\
 campaign: 1
 bench: {{torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}}
@@ -100,12 +94,15 @@ KINDS: Mapping[str, Spoil] = {
 }
 READERS = ("run", "run --bench", "run --faults csv", "identify", "simulate --result", "recover")
 """Commands that read every kind of file between them; each of the others gets half."""
-PAIRS = [
-    (command, kind)
-    for n, command in enumerate(COMMANDS)
-    for k, kind in enumerate(KINDS)
-    if command in READERS or (n + k) % 2
-]
+
+
+def half(*each: Iterable[str]) -> list[tuple[str, ...]]:
+    """Return every second combination, as the black fields of a chessboard."""
+    places = product(*(enumerate(values) for values in each))
+    return [tuple(v for _, v in place) for place in places if sum(n for n, _ in place) % 2]
+
+
+PAIRS = sorted({*half(COMMANDS, KINDS), *product(READERS, KINDS)})
 
 
 @pytest.fixture
@@ -167,9 +164,7 @@ def result() -> dict[str, object]:
 
 
 @pytest.mark.parametrize(("command", "kind"), PAIRS)
-def test_a_file_that_cannot_be_used_is_bad_input(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, kind: str
-) -> None:
+def test_a_file_that_cannot_be_used_is_bad_input(place, capsys, command, kind):
     example = place / COMMANDS[command][0]
     name = f"bad{example.suffix}"
     KINDS[kind](place / name, example.read_bytes())
@@ -180,9 +175,7 @@ def test_a_file_that_cannot_be_used_is_bad_input(
 
 
 @pytest.mark.parametrize("command", READERS)
-def test_a_file_in_a_folder_that_may_not_be_searched(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_a_file_in_a_folder_that_may_not_be_searched(place, capsys, command):
     example = COMMANDS[command][0]
     folder = place / "locked"
     folder.mkdir()
@@ -196,17 +189,13 @@ def test_a_file_in_a_folder_that_may_not_be_searched(
     "name", ["x" * 300 + ".yaml", "campaign.yaml/inside.yaml"], ids=["too long", "through a file"]
 )
 @pytest.mark.parametrize("command", READERS)
-def test_a_name_that_no_file_can_have(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
-) -> None:
+def test_a_name_that_no_file_can_have(place, capsys, command, name):
     assert call(arguments(command, name)) == BAD_INPUT
     assert_in_words(capsys.readouterr().err, place)
 
 
 @pytest.mark.parametrize("command", ["export", "recover", "resume"])
-def test_a_run_folder_that_may_not_be_read(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_a_run_folder_that_may_not_be_read(place, capsys, command):
     (place / "run").chmod(0)
     # What works on the folder locks it first, and that is a failure of storage.
     locks = command in ("recover", "resume")
@@ -216,12 +205,11 @@ def test_a_run_folder_that_may_not_be_read(
     assert "Permission denied" in shown
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("file", ["run.json", "recording.mcap"])
-@pytest.mark.parametrize("command", ["export", "recover", "resume"])
-def test_a_run_folder_with_a_damaged_file(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, file: str, kind: str
-) -> None:
+@pytest.mark.parametrize(
+    ("command", "file", "kind"),
+    half(("export", "recover", "resume"), ("run.json", "recording.mcap"), KINDS),
+)
+def test_a_run_folder_with_a_damaged_file(place, capsys, command, file, kind):
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
     KINDS[kind](place / "run" / file, content)
@@ -232,11 +220,10 @@ def test_a_run_folder_with_a_damaged_file(
     assert code in ((BAD_INPUT, DONE) if command in ("recover", "resume") else (BAD_INPUT,)), shown
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "mat", "parquet"])
-def test_a_recording_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], ending: str, kind: str
-) -> None:
+@pytest.mark.parametrize(
+    ("ending", "kind"), half(("csv", "csv.gz", "npz", "mat", "parquet"), KINDS)
+)
+def test_a_recording_that_cannot_be_used(place, capsys, ending, kind):
     KINDS[kind](place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
     # Half a table is a table, and a degree sign of a vendor in a comment does no harm.
@@ -257,9 +244,7 @@ DEVICE_FILES = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("device_file", "command"), [("eds", "run --bench"), ("dbc", "check")])
-def test_a_device_file_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], device_file: str, command: str, kind: str
-) -> None:
+def test_a_device_file_that_cannot_be_used(place, capsys, device_file, command, kind):
     name, old, new, good = DEVICE_FILES[device_file]
     KINDS[kind](place / f"bad.{device_file}", good.read_bytes())
     bench = resolve(name, "benches").read_text(encoding="utf-8")
@@ -286,9 +271,7 @@ PLACES: Mapping[str, tuple[str, ...]] = {
 @pytest.mark.parametrize(
     ("command", "key"), [(command, key) for command, keys in PLACES.items() for key in keys]
 )
-def test_numbers_that_no_bench_has(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
-) -> None:
+def test_numbers_that_no_bench_has(place, capsys, command, key, number):
     example = COMMANDS[command][0]
     before, found, after = (place / example).read_text(encoding="utf-8").partition(key)
     assert found, f"{key} is not in the example"
@@ -313,9 +296,7 @@ def test_numbers_that_no_bench_has(
         ("identify --nominal", "value"),
     ],
 )
-def test_results_with_numbers_that_none_has(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
-) -> None:
+def test_results_with_numbers_that_none_has(place, capsys, command, key, number):
     raw = json.dumps(result(), indent=1)
     before, found, after = raw.partition(f'"{key}": ')
     rest = after.lstrip("-+.0123456789e")

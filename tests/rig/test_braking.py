@@ -1,7 +1,5 @@
 """The braking: whatever is lost, cycles go on, and the drive ends its ramp."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import itertools
@@ -157,9 +155,7 @@ def test_a_lost_answer_of_a_drive_that_is_not_prepared_ends_the_braking() -> Non
 
 
 @pytest.mark.parametrize(("answers", "watched"), [(True, True), (True, False), (False, False)])
-def test_a_drive_that_goes_on_operating_is_given_up_after_its_time(
-    answers: bool, watched: bool
-) -> None:
+def test_a_drive_that_goes_on_operating_is_given_up_after_its_time(answers, watched):
     servo = Servo({} if answers else {"state": lambda: LinkError("no answer")})
     servo.quick_stop = lambda **_: servo.order.append("quick_stop")  # type: ignore
     servo.sent, servo.prepared = ON, True
@@ -401,9 +397,7 @@ def braked_dbc(
 
 @pytest.mark.parametrize("watched", [True, False])
 @pytest.mark.parametrize("code", [0, 7])
-def test_a_fault_code_does_not_show_that_a_drive_brakes(
-    moving: DbcHost, code: int, watched: bool
-) -> None:
+def test_a_fault_code_does_not_show_that_a_drive_brakes(moving, code, watched):
     """A drive that reports that it runs does not brake, whatever its fault code is."""
     drive, clock = moving.bench.drive, moving.clock
     drive._obey = lambda order: None
@@ -419,9 +413,7 @@ def test_a_fault_code_does_not_show_that_a_drive_brakes(
     assert len(orders) > 3
 
 
-def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing(
-    moving: DbcHost,
-) -> None:
+def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing(moving):
     moving.bench.bus.frame_filters.append(
         lambda _t, found, data, by_host: (found, data) if by_host else None
     )
@@ -445,9 +437,7 @@ def serial() -> Iterator[SerialHost]:
     host.link.close()
 
 
-def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost(
-    serial: SerialHost,
-) -> None:
+def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost(serial):
     entered: list[State402] = []
     serial.bench.drive.entered.append(entered.append)
     clock = serial.bench.clock

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -80,7 +78,6 @@ def test_defaults_reach_every_recording_and_yield_to_it(tmp_path: Path) -> None:
         "  - {file: b.csv, gravity: null, channels: {angle: {scale: 3}, torque: n}}\n"
     )
     first, second = load_campaign(tmp_path / "c.yaml").value.recordings
-    assert first.gravity is not None
     assert (first.gravity.mass, first.gravity.zero) == (1.0, 0.5)
     assert first.channels["angle"].scale == 2
     assert second.gravity is None
@@ -180,9 +177,7 @@ def test_cross_checks(tmp_path: Path, old: str, new: str, place: str | None, exp
         (f"{FILE}\n    gravity: {{mass: 1, length: 1}}", "bench: {", LINEAR, "5:14: "),
     ],
 )
-def test_loads_that_the_bench_does_not_fit(
-    tmp_path: Path, more: str, old: str, new: str, expected: str
-) -> None:
+def test_loads_that_the_bench_does_not_fit(tmp_path, more, old, new, expected):
     (line,) = problems(tmp_path, SHORT.replace(FILE, more).replace(old, new))
     assert line.startswith(expected)
 

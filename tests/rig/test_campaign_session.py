@@ -1,7 +1,5 @@
 """Campaigns that say when recordings were made, which part counts, and what hangs on the joint."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -191,9 +189,7 @@ def test_loads_that_cannot_be_are_refused(tmp_path: Path) -> None:
             load_source(path)
 
 
-def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors(
-    tmp_path: Path,
-) -> None:
+def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors(tmp_path):
     path = campaign(
         tmp_path,
         "  - {file: a.csv, gravity: {mass: {value: 2, std: 0.1}, length: 0.1,"
@@ -228,9 +224,7 @@ def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors
         ("{value: 0, std: 0.1}", "input should be greater than 0"),
     ],
 )
-def test_uncertain_constants_that_cannot_be_are_refused(
-    tmp_path: Path, value: str, words: str
-) -> None:
+def test_uncertain_constants_that_cannot_be_are_refused(tmp_path, value, words):
     text = problems(tmp_path, f"  - {{file: a.csv, gravity: {{mass: {value}, length: 0.1}}}}\n")
     assert words in text
     assert "recordings[0].gravity.mass" in text

@@ -1,7 +1,5 @@
 """The packaged benches of ODrive's protocol and of MIT-style motors."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re
@@ -134,9 +132,7 @@ def require_only_orders_of_a_run(bench: str) -> None:
 @pytest.mark.parametrize(
     ("bench", "pattern"), [("odrive_can", "I+(MRI+){2}"), ("mit_mini", "L+(E+T+L+){2}")]
 )
-def test_a_drive_gets_each_order_in_turn_and_no_other(
-    bench: str, pattern: str, sequence: str, made: list[SimulatedCanBench]
-) -> None:
+def test_a_drive_gets_each_order_in_turn_and_no_other(bench, pattern, sequence, made):
     story = told(bench, run(bench, sequence))
     # Off; then twice the mode or enter, closed loop or targets, and off again.
     assert re.fullmatch(pattern, story), re.sub(r"(.)\1+", r"\1+", story)
@@ -179,9 +175,7 @@ def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton],
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("bench", BENCHES)
-def test_a_stop_in_any_phase_ends_without_power(
-    bench: str, phase: Phase, presses: int, stage: str, sequence: str, made: list[SimulatedCanBench]
-) -> None:
+def test_a_stop_in_any_phase_ends_without_power(bench, phase, presses, stage, sequence, made):
     powered = []
 
     def press(name: str, at: Phase, stop: StopButton) -> None:
@@ -206,9 +200,7 @@ def test_a_stop_in_any_phase_ends_without_power(
 @pytest.mark.parametrize(
     ("bench", "code"), [("odrive_can", can_drives.NOT_CALIBRATED), ("mit_mini", 0xA)]
 )
-def test_a_fault_in_the_middle_ends_the_run_and_is_named(
-    bench: str, code: int, sequence: str, made: list[SimulatedCanBench]
-) -> None:
+def test_a_fault_in_the_middle_ends_the_run_and_is_named(bench, code, sequence, made):
     def press(name: str, at: Phase, stop: StopButton) -> None:
         if (name, at) == ("empty", Phase.EXCITE):
             made[0].drive.fail(code)
@@ -220,9 +212,7 @@ def test_a_fault_in_the_middle_ends_the_run_and_is_named(
     assert not made[0].drive.powered
 
 
-def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(
-    sequence: str, made: list[SimulatedCanBench], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(sequence, made, monkeypatch):
     boot = can_drives.ODriveAxis.boot
 
     def faulty(self: can_drives.ODriveAxis) -> None:
@@ -292,9 +282,7 @@ def test_lost_frames_never_leave_a_drive_that_follows(
         assert outcome.safe.verified
 
 
-def test_an_odrive_adds_the_torque_of_feed_forward(
-    sequence: str, made: list[SimulatedCanBench]
-) -> None:
+def test_an_odrive_adds_the_torque_of_feed_forward(sequence, made):
     Path(sequence).write_text(
         "sequence: 1\nname: slow\nstages:\n"
         "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 0.5}],\n"

@@ -1,7 +1,5 @@
 """Run folders as they are listed, and the index that only saves time."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import zlib
@@ -101,9 +99,7 @@ def older(path: Path) -> None:
         lambda path: path.write_bytes(b""),
     ],
 )
-def test_a_lost_or_damaged_index_changes_no_answer(
-    root: Path, harm: Callable[[Path], None]
-) -> None:
+def test_a_lost_or_damaged_index_changes_no_answer(root, harm):
     before = list_runs(root).entries
     harm(root / INDEX_FILE)
     harmed = list_runs(root)
@@ -145,9 +141,7 @@ def older_record(record: dict[str, Any]) -> None:
         (lambda run: (run / "identify.json").write_text("{"), "run", ""),
     ],
 )
-def test_folders_are_listed_as_what_they_are(
-    root: Path, harm: Callable[[Path], object], kind: str, problem: str
-) -> None:
+def test_folders_are_listed_as_what_they_are(root, harm, kind, problem):
     harm(root / "one")
     head = listed(root)["one"].head
     assert (head.kind, head.identified) == (kind, "")
@@ -182,9 +176,7 @@ def test_a_run_without_an_end_is_going_on_or_has_died(root: Path) -> None:
     assert verdicts(root, entry) == {"died"}
 
 
-def test_the_list_shows_copies_and_problems(
-    root: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_list_shows_copies_and_problems(root, capsys, tmp_path):
     shutil.copytree(root / "one", root / "three")
     (root / "2026" / "two" / "run.json").write_text("")
     result = tmp_path / "list.json"
@@ -198,9 +190,7 @@ def test_the_list_shows_copies_and_problems(
     assert "HALF WRITTEN" in (tmp_path / "page" / "report.html").read_text()
 
 
-def test_a_trend_of_one_constant_over_the_latest_runs(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trend_of_one_constant_over_the_latest_runs(root, capsys):
     assert status(["runs", "trend", str(root), "--constant", "Mc", "--last", "1"]) == 0
     shown = capsys.readouterr().out
     assert "practical (simulated), 1 runs" in shown
@@ -246,9 +236,7 @@ HARMS: dict[str, tuple[Callable[[Path], object], int, str]] = {
 
 
 @pytest.mark.parametrize("harm", HARMS)
-def test_a_run_is_held_against_its_seal(
-    root: Path, capsys: pytest.CaptureFixture[str], harm: str
-) -> None:
+def test_a_run_is_held_against_its_seal(root, capsys, harm):
     change, code, words = HARMS[harm]
     change(root / "one")
     assert status(["runs", "verify", str(root / "one")]) == code

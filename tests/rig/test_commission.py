@@ -1,7 +1,5 @@
 """``rig commission``: step by step, at low limits."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -31,6 +29,7 @@ from rig.runs.recorder import Recorder
 from .benches import variant
 from .true_motion import watch_machines
 
+PROOF = pytest.mark.proof
 SLOW = (
     ("cycle_Hz: 1000", "cycle_Hz: 250"),
     ("sample_age_ms: 5", "sample_age_ms: 20"),
@@ -82,7 +81,13 @@ def fastest_deg_s(gear_ratio: float) -> float:
     return math.degrees(max(found)) / gear_ratio
 
 
-@pytest.mark.parametrize("mistake", CORRECTED)
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        *("zero_off", "current_sign", "ratio"),
+        *(pytest.param(m, marks=PROOF) for m in ("rpm", "encoder_sign", "torque_constant")),
+    ],
+)
 def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake: str) -> None:
     before = Path("bench.yaml").read_text()
     ended, record = commissioned("--angle", "0", "--mistake", mistake)
@@ -103,9 +108,7 @@ def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake:
 
 
 @pytest.mark.parametrize("mistake", FOUND)
-def test_what_no_value_corrects_ends_it(
-    here: Path, mistake: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_no_value_corrects_ends_it(here, mistake, monkeypatch):
     true = watch_machines(monkeypatch)
     ended, record = commissioned("--angle", "0", "--mistake", mistake)
     assert (ended, record["state"]) == (1, "tripped")
@@ -122,11 +125,9 @@ def test_what_no_value_corrects_ends_it(
         assert true.travel_deg < SMALL_DEG
 
 
-@pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
+@pytest.mark.parametrize("source", ["practical_serial", pytest.param("practical_dbc", marks=PROOF)])
 @pytest.mark.usefixtures("elsewhere")
-def test_a_wrong_sign_is_found_on_every_kind_of_drive(
-    source: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_sign_is_found_on_every_kind_of_drive(source, monkeypatch):
     mistake = "phases_swapped"
     true = watch_machines(monkeypatch)
     options = ["commission", source, "--yes", "--angle", "0", "--out", "out", "--mistake", mistake]
@@ -141,9 +142,7 @@ def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     assert true.travel_deg < SMALL_DEG
 
 
-def test_what_nothing_protects_is_said_once_at_the_start(
-    elsewhere: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_nothing_protects_is_said_once_at_the_start(elsewhere, capsys):
     """A corrected value connects the bench a second time."""
     variant(elsewhere, *SLOW, ("servo: {node: 1", "servo: {stops_alone: false, node: 1"))
     ended, record = commissioned("--angle", "0", "--mistake", "zero_off")
@@ -195,9 +194,7 @@ def test_a_real_bench_takes_no_yes(here: Path, capsys: pytest.CaptureFixture[str
     ("error", "ended", "state"),
     [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
 )
-def test_however_a_step_ends_the_drive_is_read_back_as_off(
-    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
-) -> None:
+def test_however_a_step_ends_the_drive_is_read_back_as_off(here, monkeypatch, error, ended, state):
     go = Setup.go
 
     def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
@@ -215,9 +212,7 @@ def test_however_a_step_ends_the_drive_is_read_back_as_off(
 
 
 @pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
-def test_a_stop_during_the_step_that_stops_ends_it(
-    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
-) -> None:
+def test_a_stop_during_the_step_that_stops_ends_it(here, monkeypatch, number, brakes):
     """Ctrl-C leaves the drive its ramp; SIGQUIT takes the power off at once."""
     order, watch = Cia402Servo.quick_stop, Cycle.watch
     orders: list[int] = []
@@ -264,9 +259,7 @@ def test_a_value_is_set_and_the_rest_is_kept(change: Change, text: str) -> None:
     assert patched(FLOW, (change,)) == text
 
 
-def test_a_recording_that_fails_takes_the_power_off_first(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_that_fails_takes_the_power_off_first(here, monkeypatch, capsys):
     sample = Recorder.sample
 
     def full(self: Recorder, time_ns: int, *values: Any) -> None:
@@ -280,7 +273,9 @@ def test_a_recording_that_fails_takes_the_power_off_first(
     assert "the drive is de-energised (read back: switch on disabled)" in shown
 
 
-@pytest.mark.parametrize("limit_deg_s", [pytest.param(None, marks=pytest.mark.proof), 28.0, 30.0])
+@pytest.mark.parametrize(
+    "limit_deg_s", [28.0, *(pytest.param(limit, marks=PROOF) for limit in (None, 30.0))]
+)
 def test_soft_gains_are_refused_before_the_motion_with_the_limit_that_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_deg_s: float | None
 ) -> None:

@@ -1,7 +1,5 @@
 """``rig commission --home``: the drive sets its zero by its own homing, or ends de-energised."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -107,9 +105,7 @@ def test_a_homing_that_fails_ends_de_energised(here: Path, mistake: str, method:
 @pytest.mark.parametrize(
     ("error", "ended", "state"), [(None, 3, "stopped"), (RuntimeError("x"), 5, "crashed")]
 )
-def test_however_it_is_ended_the_drive_is_read_back_as_off(
-    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
-) -> None:
+def test_however_it_is_ended_the_drive_is_read_back_as_off(here, monkeypatch, error, ended, state):
     attend, calls = Cycle.attend, [0]
 
     def interrupted(self: Cycle, limits: Limits) -> Sample:
@@ -131,9 +127,7 @@ def test_however_it_is_ended_the_drive_is_read_back_as_off(
     assert -0.2 < angle < -0.01
 
 
-def test_a_lost_bus_leaves_it_to_the_watchdog_and_says_so(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lost_bus_leaves_it_to_the_watchdog_and_says_so(here, monkeypatch, capsys):
     attend, calls, power = Cycle.attend, [0], SimulatedMachine.power
     powered: list[bool] = []
 
@@ -159,9 +153,7 @@ def test_a_lost_bus_leaves_it_to_the_watchdog_and_says_so(
     assert not powered[-1]
 
 
-def test_a_joint_that_moves_where_it_must_not_ends_it(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_joint_that_moves_where_it_must_not_ends_it(here, monkeypatch):
     obey = Homing.obey
 
     def wild(self: Homing) -> None:
@@ -178,9 +170,7 @@ def test_a_joint_that_moves_where_it_must_not_ends_it(
     assert ends_off(record)
 
 
-def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(here, monkeypatch):
     def other(self: Homing, counts: int) -> None:
         self.shift = -self._values[0x607C00] - counts
 
@@ -225,8 +215,6 @@ def test_a_drive_that_cannot_home_keeps_the_present_ways(here: Path) -> None:
         (("--home", "17", "--home-angle", "50"), "is 50 deg; it must be from -30 to 30 deg"),
     ],
 )
-def test_options_that_do_not_fit_are_refused(
-    here: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
-) -> None:
+def test_options_that_do_not_fit_are_refused(here, capsys, options, words):
     assert status(["commission", "bench.yaml", "--yes", "--out", "out", *options]) == 2
     assert words in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """The program itself breaks down: words, a traceback file, status 5."""
 
-from __future__ import annotations
-
 import errno
 import os
 import tempfile
@@ -17,6 +15,8 @@ from rig.common.errors import InputError, StorageError
 from rig.wiring.teardown import SafeState
 
 from .command import assert_in_words, rig
+
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 OFF = "the drive is de-energised (read back: switch on disabled)"
 EFFECTS = """\
@@ -40,11 +40,6 @@ class StrangeError(BaseException):
 
 
 Raise = Callable[[BaseException], None]
-
-
-@pytest.fixture(autouse=True)
-def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
@@ -72,9 +67,7 @@ def effects_raise(monkeypatch: pytest.MonkeyPatch) -> Raise:
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_what_is_not_foreseen_ends_in_words(
-    effects_raise: Raise, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException
-) -> None:
+def test_what_is_not_foreseen_ends_in_words(effects_raise, tmp_path, capsys, error):
     effects_raise(error)
     note_drive(error, OFF)
     assert status(["effects"]) == CRASHED == 5
@@ -157,9 +150,7 @@ def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:
     assert len(list(run.glob("crash-*.txt"))) == 1
 
 
-def test_where_the_folder_takes_no_file_another_place_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_the_folder_takes_no_file_another_place_does(tmp_path, monkeypatch):
     place, touch = tmp_path / "temporary", Path.touch
     place.mkdir()
 

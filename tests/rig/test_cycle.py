@@ -1,7 +1,5 @@
 """The control cycle by itself: what goes out, what is recorded, what is judged, and when."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -355,9 +353,7 @@ def test_watching_commands_nothing_and_judges_nothing() -> None:
 @pytest.mark.parametrize(
     ("period_ms", "second_ms"), [(1, 1), (5, 5), (10, 0.4), (50, 0.4), (2000, 0.4)]
 )
-def test_the_order_to_brake_does_not_wait_for_a_long_cycle(
-    period_ms: int, second_ms: float
-) -> None:
+def test_the_order_to_brake_does_not_wait_for_a_long_cycle(period_ms, second_ms):
     bench = Bench()
     cycle = Cycle(
         LIMITS, period_ms * 1_000_000, devices(bench), bench, StopButton(), lambda *_: None
@@ -404,9 +400,7 @@ def test_a_full_disk_does_not_end_the_watching() -> None:
 @pytest.mark.parametrize(
     ("late_ns", "overruns", "missed"), [(PERIOD_NS, 0, 0), (PERIOD_NS + 1, 1, 1), (3_700_000, 1, 3)]
 )
-def test_a_cycle_more_than_a_period_late_moves_the_grid(
-    late_ns: int, overruns: int, missed: int
-) -> None:
+def test_a_cycle_more_than_a_period_late_moves_the_grid(late_ns, overruns, missed):
     bench = Bench()
     cycle = begun(bench)
     bench.actions[2] = lambda: bench.clock.sleep_until_ns(START_NS + 2_000_000 + late_ns)
@@ -451,9 +445,7 @@ def test_a_pause_for_other_work_is_no_lateness() -> None:
         ({"pressure": False}, 0, 0),
     ],
 )
-def test_a_part_of_the_answer_that_is_missing_is_counted(
-    lost: dict[str, bool], servo: int, encoder: int
-) -> None:
+def test_a_part_of_the_answer_that_is_missing_is_counted(lost, servo, encoder):
     bench = Bench(pressure=True)
     cycle = begun(bench)
     for exchange, parts in ((2, lost), (3, {}), (4, lost), (6, {})):
@@ -492,9 +484,7 @@ def test_the_greatest_age_is_kept_and_the_present_one_judged() -> None:
     [(0.0035, 2, Check.PAUSE), (0.0017, 5, Check.SAMPLE_AGE), (0.0, 5, Check.SAMPLE_AGE)],
     ids=["a long pause", "a short pause, then a bad cable", "a bad cable"],
 )
-def test_a_pause_of_this_computer_is_named_as_the_cause(
-    pause_s: float, lost: int, cause: Check
-) -> None:
+def test_a_pause_of_this_computer_is_named_as_the_cause(pause_s, lost, cause):
     bench = Bench()
     cycle = begun(bench)
 
@@ -545,9 +535,7 @@ def test_simulated_time_is_held_back_to_real_time() -> None:
 @pytest.mark.parametrize(
     ("late_ns", "overruns", "missed"), [(PERIOD_NS, 0, 0), (PERIOD_NS + 1, 1, 1), (5_500_000, 1, 5)]
 )
-def test_this_computers_lateness_is_counted_and_moves_the_real_grid(
-    late_ns: int, overruns: int, missed: int
-) -> None:
+def test_this_computers_lateness_is_counted_and_moves_the_real_grid(late_ns, overruns, missed):
     bench, pacer = Bench(), Pacer()
     cycle = begun(bench, pacer=pacer)
 

@@ -1,7 +1,5 @@
 """A bench whose drive speaks its own CAN frames, from its file to a finished run."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys
@@ -53,9 +51,7 @@ def line_of(path: Path, words: str) -> int:
     return next(number for number, line in enumerate(lines, 1) if words in line)
 
 
-def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sequence_runs_ends_safe_and_keeps_every_frame(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sequence, run = tmp_path / "short.yaml", tmp_path / "run"
     sequence.write_text(SHORT)
@@ -74,7 +70,6 @@ def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
     }
     assert {0x010, 0x080, 0x110, 0x120, 0x190, 0x191, 0x1A0, 0x1B1, 0x182} <= identifiers
     truth = truth_of(run)
-    assert truth is not None
     assert truth["Mc"] == 6.825
 
 
@@ -97,9 +92,7 @@ def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
         ("algorithm: crc8_j1850", "algorithm: crc9", "servo.messages.DRV_Command.algorithm: "),
     ],
 )
-def test_one_mistake_is_one_line_at_its_place(
-    written: Callable[..., Path], old: str, new: str, words: str
-) -> None:
+def test_one_mistake_is_one_line_at_its_place(written, old, new, words):
     path = written((old, new))
     with pytest.raises(InputError) as caught:
         load_bench(path)
@@ -144,9 +137,7 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     )
 
 
-def test_a_fault_code_beside_a_state_that_is_off_is_a_fault(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_code_beside_a_state_that_is_off_is_a_fault(monkeypatch, capsys):
     class Faulty(DbcDrive):
         def boot(self) -> None:
             self.fault_code = 7
@@ -158,9 +149,7 @@ def test_a_fault_code_beside_a_state_that_is_off_is_a_fault(
     assert "state of the drive: fault" in shown
 
 
-def test_a_drive_that_takes_no_limits_is_jogged_after_a_question(
-    written: Callable[..., Path], capsys: pytest.CaptureFixture[str], answers: Callable[..., None]
-) -> None:
+def test_a_drive_that_takes_no_limits_is_jogged_after_a_question(written, capsys, answers):
     bench = written((LIMITS, ""))
     answers("yes")
     assert status(["jog", str(bench), "--to", "1", "--json", "jog.json"]) == 0
@@ -174,9 +163,7 @@ def test_a_drive_that_takes_no_limits_is_jogged_after_a_question(
 
 
 @pytest.mark.parametrize("given", [("no",), ()])
-def test_a_jog_that_is_not_confirmed_moves_nothing(
-    written: Callable[..., Path], answers: Callable[..., None], given: tuple[str, ...]
-) -> None:
+def test_a_jog_that_is_not_confirmed_moves_nothing(written, answers, given):
     bench = written((LIMITS, ""))
     answers(*given)
     assert status(["jog", str(bench), "--to", "1", "--json", "jog.json"]) == 3
@@ -185,9 +172,7 @@ def test_a_jog_that_is_not_confirmed_moves_nothing(
     assert record["message"] == "not confirmed; nothing was moved"
 
 
-def test_a_pipe_agrees_to_nothing_on_a_real_bench(
-    answers: Callable[..., None], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_agrees_to_nothing_on_a_real_bench(answers, capsys):
     answers("yes")
     screen = Screen()
     with StopButton() as stop:

@@ -1,7 +1,5 @@
 """``rig diagnose`` and ``rig effects`` as a user runs them, on hand-made diagnoses."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -76,9 +74,7 @@ Arrange = Callable[[Diagnosis], list[tuple[float | None, float]]]
 
 
 @pytest.mark.parametrize("verdict", list(EACH))
-def test_every_verdict_is_printed_written_and_drawn(
-    verdict: str, campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_verdict_is_printed_written_and_drawn(verdict, campaign, tmp_path, found, capsys):
     diagnosis = EACH[verdict]
     calls = found(diagnosis)
     out, file = tmp_path / "out", tmp_path / "result.json"
@@ -133,23 +129,17 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_alias_group_comes_with_the_experiment_that_splits_it(
-    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_alias_group_comes_with_what_splits_it(campaign, tmp_path, found, capsys):
     found(dataclasses.replace(AMBIGUOUS, maps=(), traces=()))
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert AMBIGUOUS.effects[0].separating_experiment in printed
-    assert "<code>split.yaml</code>" in (out / "report.html").read_text()
-    assert status(["run", str(out / "split.yaml"), "--dry-run"]) == 0
-    assert "held-from-below" in capsys.readouterr().out
+    assert "rig design" in (out / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_corrected_model_lies_beside_the_report(
-    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_corrected_model_lies_beside_the_report(campaign, tmp_path, found, capsys):
     found(PLAIN)
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
@@ -164,13 +154,10 @@ def test_the_corrected_model_lies_beside_the_report(
     campaign.write_text(text)
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     hidden = load_bench(out / "bench.yaml").value.mock
-    assert hidden is not None
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
 
 
-def test_a_joint_that_never_moves_on_is_bad_input(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_joint_that_never_moves_on_is_bad_input(tmp_path, capsys):
     time = np.arange(8000) / 400.0
     torque = 5.0 * np.abs((time % 4.0) - 2.0) - 5.0
     angle = 2e-4 * torque + 1e-5 * np.random.default_rng(0).standard_normal(len(time))
@@ -206,9 +193,7 @@ def ramp_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
-def test_the_table_has_size_share_and_what_looks_the_same(
-    ramp_campaign: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_table_has_size_share_and_what_looks_the_same(ramp_campaign, capsys, tmp_path):
     record = tmp_path / "observable.json"
     assert status(["diagnose", str(ramp_campaign), "--observable", "--json", str(record)]) == 0
     printed = capsys.readouterr().out
@@ -224,9 +209,7 @@ def test_the_table_has_size_share_and_what_looks_the_same(
     assert not (tmp_path / "bench-diagnosed").exists()
 
 
-def test_it_goes_with_no_other_kind_of_diagnosis(
-    ramp_campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_goes_with_no_other_kind_of_diagnosis(ramp_campaign, capsys):
     assert status(["diagnose", str(ramp_campaign), "--observable", "--gas"]) == 2
     assert "--observable cannot be combined with" in capsys.readouterr().err
 
@@ -241,9 +224,7 @@ def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, lines)) <= 130
 
 
-def test_the_record_holds_what_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_record_holds_what_is_printed(tmp_path, capsys):
     file = tmp_path / "effects.json"
     assert status(["effects", "--json", str(file)]) == 0
     record = json.loads(file.read_text())

@@ -1,10 +1,7 @@
 """A document on the terminal, as a page, and on the disk."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
@@ -49,10 +46,6 @@ def drawn(*blocks: Block) -> str:
     return page(Document("A & B", "below", (), (Section("Heading", blocks, "here"),)))
 
 
-def test_every_kind_of_block_is_shown() -> None:
-    assert {type(block) for block in EVERY.values()} == set(get_args(Block))
-
-
 def test_blocks_on_the_terminal() -> None:
     for kind, expected in {
         "table": "name     value\n----  --------\nx     1 <unit>",
@@ -83,24 +76,6 @@ def test_blocks_on_the_page() -> None:
         assert expected in made
 
 
-def test_running_text_is_wrapped_and_a_line_is_not() -> None:
-    lines = shown(EVERY["paragraph"]).splitlines()
-    assert len(lines) == 2
-    assert lines[0].startswith("At first: word")
-    assert shown(Note(LONG)) == LONG
-
-
-def test_blank_lines_part_the_sections_of_a_summary() -> None:
-    summary = (Section("first:", (Note("a"), Note("b", "aside"))), Section("", (Note("c"),)))
-    assert text(Document("t", "", summary)) == "first:\na\nnote: b\n\nc"
-
-
-@pytest.mark.parametrize(("rows", "folded"), [(16, False), (17, True)])
-def test_long_tables_are_folded(rows: int, folded: bool) -> None:
-    cells = Table(("k",), tuple((str(k),) for k in range(rows)), ())
-    assert (f"<summary>{rows} rows: k</summary>" in drawn(cells)) is folded
-
-
 def test_pictures_are_files_beside_the_page_wherever_they_stand(tmp_path: Path) -> None:
     inner = Section("", (Picture("deep", "c", b"d"),))
     blocks = (EVERY["picture"], SideBySide(inner, Section("", ())))
@@ -111,9 +86,7 @@ def test_pictures_are_files_beside_the_page_wherever_they_stand(tmp_path: Path) 
     assert (tmp_path / "new/page.html").read_text() == page(document)
 
 
-def test_a_full_disk_is_said_with_the_places(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_said_with_the_places(tmp_path, monkeypatch):
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -1,7 +1,5 @@
 """The bench's limits beside the drive's own."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -59,9 +57,7 @@ COARSE = (
 
 @pytest.mark.parametrize(("field", "step"), COARSE)
 @pytest.mark.parametrize(("share", "same"), [(0.5, True), (1.0, True), (1.01, False), (2.0, False)])
-def test_limits_within_one_step_of_the_drive_are_the_same(
-    field: str, step: float, share: float, same: bool
-) -> None:
+def test_limits_within_one_step_of_the_drive_are_the_same(field, step, share, same):
     other = changed(**{field: getattr(WANTED, field) + share * step})
     assert [row.looser for row in compare(other, WANTED, STEPS) if row.field == field] == [not same]
     if same:
@@ -91,9 +87,7 @@ def test_a_ramp_within_one_step_is_the_same(share: float, same: bool) -> None:
         (1.0, 0.388, 1.0, 0.4995, 0.3885),
     ],
 )
-def test_what_a_run_wrote_does_not_refuse_the_next(
-    rated_A: float, rated_N_m: float, gear: float, current: float, torque: float
-) -> None:
+def test_what_a_run_wrote_does_not_refuse_the_next(rated_A, rated_N_m, gear, current, torque):
     scales = ServoScales(4096, gear, rated_A, rated_N_m)
     asked = changed(current_A=current, torque_N_m=torque)
     left = decode(encode(asked, scales), scales)
@@ -153,9 +147,7 @@ def test_the_rounding_reaches_a_thousandth_and_no_further() -> None:
             require_held(changed(**{field: beyond}), wanted)
 
 
-def test_a_drive_that_holds_something_looser_is_not_enabled(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drive_that_holds_something_looser_is_not_enabled(runner, fake_bench, monkeypatch):
     def forgetful(self: Any, limits: ServoLimits) -> None:
         self.limits = dataclasses.replace(limits, speed_rad_s=2.9)
 

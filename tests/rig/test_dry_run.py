@@ -1,7 +1,5 @@
 """`rig run --dry-run`: what it predicts, from which values, and with which exit status it ends."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -69,9 +67,7 @@ def heavy(record: dict[str, Any]) -> float:
 @pytest.mark.parametrize(
     ("share", "found"), [(1.26, ""), (1.24, "warning"), (1.01, "warning"), (0.99, "problem")]
 )
-def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
-    share: float, found: str, measured: bool
-) -> None:
+def test_a_limit_is_a_problem_only_where_the_friction_was_measured(share, found, measured):
     arguments = ("--identification", str(result(Path("known.json")))) if measured else ()
     peak = heavy(dry(*arguments, "--no-first-pass")[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
@@ -82,7 +78,7 @@ def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
     for each in ("warning", "problem"):
         texts = record[f"{each}s"]
         assert len(texts) == (each == kind)
-        assert all(t.startswith(f"heavy: predicted peak torque {peak:.4g} N m is ") for t in texts)
+        assert all(re.search(rf"heavy: .*torque {peak:.4g} N m \(limit", t) for t in texts)
     if kind == "warning":
         assert ("the paper's friction" in record["warnings"][0]) is not measured
 
@@ -91,9 +87,7 @@ def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
     ("removed", "problems", "warnings"),
     [([], 2, 0), (["mu_s"], 1, 1), (["Ms"], 0, 2), (["omega_sf"], 2, 0)],
 )
-def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
-    removed: list[str], problems: int, warnings: int
-) -> None:
+def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(removed, problems, warnings):
     path = Path("part.json")
     raw = json.loads(result(path).read_text())
     for name in removed:
@@ -104,17 +98,13 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
     bench = load_bench("practical")
     plan = make_plan(load_sequence("one.yaml"), bench, False)
     computed = PredictedLoad.of(plan, bench.value, model)
-    torques = [
-        [text for text in found if "torque" in text]
-        for found in (computed.problems, computed.warnings)
-    ]
-    assert [len(found) for found in torques] == [problems, warnings]
+    for found, stages in ((computed.problems, problems), (computed.warnings, warnings)):
+        assert sum(text.count("torque ") for text in found) == stages
+    assert len(computed.warnings) == bool(warnings)  # one remedy, one message
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
-def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
-    arguments: tuple[str, ...], prompts: int
-) -> None:
+def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(arguments, prompts):
     record = dry(*arguments)[1]
     assert record["prompts"] == prompts
     assert record["under_power_s"] == pytest.approx(2 * (0.5 + 0.05 + 0.1))
@@ -133,9 +123,7 @@ def test_what_is_named_is_used(option: str) -> None:
     assert heavy(record) > plain + 2.0
 
 
-def test_an_identification_without_a_load_does_not_fit_the_weight_check(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_identification_without_a_load_does_not_fit_the_weight_check(capsys):
     path = Path("open.json")
     raw = json.loads(result(path).read_text())
     raw["parameters"]["mu_c"]["value"] = None
@@ -144,9 +132,7 @@ def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     assert "parameters.mu_c: not identified; the weight check needs" in capsys.readouterr().err
 
 
-def test_the_newest_identification_of_the_same_bench_is_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_newest_identification_of_the_same_bench_is_found(tmp_path, capsys):
     bench = load_bench("practical")
     constants = bench_constants(bench.value)
     assert not friction_model(constants).measured
@@ -181,9 +167,7 @@ def test_the_newest_identification_of_the_same_bench_is_found(
 
 
 @pytest.mark.parametrize(("share", "code"), [(1.3, 0), (0.99, 2)])
-def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(
-    share: float, code: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(share, code, capsys):
     known = ("--identification", str(result(Path("known.json"))), "--no-first-pass")
     peak = heavy(dry(*known)[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
@@ -192,7 +176,7 @@ def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(
     assert Path("out").exists() is (code == 0)
     if code:
         (line,) = capsys.readouterr().err.splitlines()
-        assert re.match(r"one\.yaml:7:\d+: stages\[1\]\.name: heavy: predicted peak torque ", line)
+        assert re.match(r"one\.yaml:7:\d+: stages\[1\]\.name: heavy: .*: torque ", line)
         assert "; predicted from the identification known.json (got" in line
 
 
@@ -216,11 +200,10 @@ def test_a_first_pass_above_its_limit_is_warned_of_and_its_trip_names_the_predic
     )
     told = capsys.readouterr().err
     record = read_record(Path("out"))
-    warning = "heavy, first pass: predicted peak current 12.88 A is above its limit 11.25 A"
+    warning = "current 12.88 A (limit 11.25 A)"
     assert (warning in told) is bool(code)
-    assert any(text.startswith(warning) for text in record.warnings) is bool(code)
+    assert any(warning in text for text in record.warnings) is bool(code)
     if code:
-        assert record.trip is not None
         assert (record.trip["check"], record.trip["limit"]) == ("motor current", 11.25)
         assert record.trip["predicted"] == pytest.approx(12.88, abs=0.01)
         before, _, after = told.partition("\ntripped: ")

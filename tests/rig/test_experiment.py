@@ -19,13 +19,9 @@ from rig.common.provenance import IDENTIFY_SCHEMA
 from rig.config.sequence import StageSection, Tone, excitation
 from rig.results.identify.design import _with, excitation_words, nominal_values
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: free, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.4, phase_deg: 0}],
-     duration_s: 8}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 15, 0.4, 8))
 
 
 @pytest.fixture(autouse=True)
@@ -49,9 +45,7 @@ def sequence(tmp_path: Path) -> Path:
 
 
 @pytest.mark.proof
-def test_the_proposal_runs(
-    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_proposal_runs(sequence, tmp_path, capsys):
     out = tmp_path / "planned"
     assert status(["identify", "--plan", str(sequence), "--out", str(out)]) == 0
     assert "times tighter" in capsys.readouterr().out
@@ -129,9 +123,7 @@ def test_an_undetermined_parameter_is_the_weakest_and_has_its_default_value(tmp_
     ("value", "possible"),
     [(1.1e-12, True), (0.9e12, True), (0, False), (-1.0, False), (0.9e-12, False), (1.1e12, False)],
 )
-def test_a_parameter_that_no_machine_can_have_is_refused(
-    tmp_path: Path, value: float, possible: bool
-) -> None:
+def test_a_parameter_that_no_machine_can_have_is_refused(tmp_path, value, possible):
     path = result(tmp_path)
     record = json.loads(path.read_text())
     record["parameters"]["mu_2"]["value"] = value

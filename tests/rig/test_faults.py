@@ -1,7 +1,5 @@
 """Fault schedules: read with every error at its place, brought about on a run, and judged."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import time
@@ -141,9 +139,7 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
         ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
     ],
 )
-def test_a_fault_that_a_bench_cannot_have_is_refused(
-    bench: str, row: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fault_that_a_bench_cannot_have_is_refused(bench, row, words, capsys):
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     path = schedule("phase: hold, target: operator, fault: stop", row)
     options = ["--bench", bench, "--yes", "--out", "out", "--faults", str(path)]

@@ -1,7 +1,5 @@
 """Friction feed-forward: what is sent in which cycle, what is refused, what it does to a run."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -172,9 +170,7 @@ def test_transports_without_it_refuse(bench: str, key: str) -> None:
         require_torque_offset(load_bench(bench))
 
 
-def test_more_torque_than_the_limit_is_refused_beforehand(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_more_torque_than_the_limit_is_refused_beforehand(capsys):
     heavy = str(result_file(mu_c=0.3))
     assert status(["run", "ramps.yaml", "--feedforward", heavy, "--dry-run"]) == 2
     err = capsys.readouterr().err
@@ -300,9 +296,7 @@ def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[floa
 
 
 @pytest.mark.parametrize(("start", "speed_deg_s"), [(0.0, 0.3), (-0.06, 1.0), (0.06, 8.0)])
-def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(
-    start: float, speed_deg_s: float
-) -> None:
+def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(start, speed_deg_s):
     targets = np.deg2rad(speed_deg_s) * CYCLE_S * np.arange(1500)
     fastest, current = drive_by_hand(targets, start, 0.7)
     assert fastest < 0.5 * np.deg2rad(120.0)

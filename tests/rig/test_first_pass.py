@@ -1,7 +1,5 @@
 """The pass at low amplitude: what is planned, and what is allowed meanwhile."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -96,9 +94,7 @@ def test_larger_ones_stand_ready_as_far_as_the_limits_allow(short_sequence: Path
     )
 
 
-def test_while_the_joint_does_not_move_larger_ones_follow(
-    runner: Any, fake_bench: Any, short_sequence: Path
-) -> None:
+def test_while_the_joint_does_not_move_larger_ones_follow(runner, fake_bench, short_sequence):
     runner.plan = plan_of(short_sequence, LOW)
     bench = fake_bench()
     follow = bench.exchange
@@ -140,9 +136,7 @@ def test_a_run_goes_through_it_first(runner: Any, fake_bench: Any, short_sequenc
 
 
 @pytest.mark.parametrize("change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}])
-def test_what_the_stage_may_the_first_pass_may_not(
-    runner: Any, fake_bench: Any, short_sequence: Path, change: dict[str, float]
-) -> None:
+def test_what_the_stage_may_the_first_pass_may_not(runner, fake_bench, short_sequence, change):
     def at(cycle: int) -> Any:
         bench = fake_bench()
         bench.faults["exchange", cycle] = lambda: bench.overrides.update(change)
@@ -164,7 +158,6 @@ def test_a_stage_has_a_time_limit(runner: Any, fake_bench: Any) -> None:
     runner.plan = dataclasses.replace(runner.plan, stages=stages)
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.TRIPPED
-    assert folder.record.trip is not None
     assert folder.record.trip["check"] == "time under power in this stage"
     assert len(bench.targets) == pytest.approx(502, abs=2)
 

@@ -1,7 +1,5 @@
 """The folder of a run that is deleted, moved or out of space: noticed, safe, and rightly worded."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -18,12 +16,9 @@ from rig.runs.catalogue.index import list_runs
 from rig.runs.recorder import GoneError, Recorder, open_recorder
 from rig.runs.run import RESERVE_FILE, read_record, require_space
 
-SEQUENCE = """\
-sequence: 1
-name: long
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 10}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("empty", 5, 1, 10), name="long")
 SAMPLE = Sample(*([0.0] * 13), 0x27, 1, True)
 
 
@@ -41,9 +36,7 @@ def gone(how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["deleted", "moved"])
-def test_a_folder_that_goes_under_a_run_stops_it_within_a_second(
-    how: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_goes_under_a_run_stops_it_within_a_second(how, monkeypatch, capsys):
     event, sample, times = Recorder.event, Recorder.sample, []
 
     def noted(self: Recorder, time_ns: int, name: str, **details: Any) -> None:
@@ -85,9 +78,7 @@ def test_the_recorder_notices_that_another_file_is_at_its_place() -> None:
     recorder.close()
 
 
-def test_the_space_for_the_whole_run_is_checked_before(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_space_for_the_whole_run_is_checked_before(monkeypatch, capsys):
     Path("s.yaml").write_text(SEQUENCE.replace("duration_s: 10", "duration_s: 2"))
     assert status(["run", "s.yaml", "--yes", "--out", "enough"]) == 0
     assert not Path("enough", RESERVE_FILE).exists()
@@ -106,9 +97,7 @@ def test_the_space_for_the_whole_run_is_checked_before(
 
 
 @pytest.mark.parametrize("first", ["recording", "run.json"])
-def test_the_state_of_a_run_that_filled_the_disk_is_kept(
-    first: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_state_of_a_run_that_filled_the_disk_is_kept(first, monkeypatch):
     """The disk is full from some time on, and nothing can be written until space is given back."""
     write, sample, event = run_module.write_json, Recorder.sample, Recorder.event
 

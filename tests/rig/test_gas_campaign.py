@@ -1,7 +1,5 @@
 """Campaigns of pressure and valve angle, and what `rig diagnose` makes of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -115,9 +113,7 @@ def test_the_block_of_a_campaign(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(
-    tmp_path: Path, bench: str, channels: str, words: str
-) -> None:
+def test_what_is_wrong_is_told_with_its_place(tmp_path, bench, channels, words):
     path = tmp_path / "c.yaml"
     path.write_text(
         f"campaign: 1\nbench: {bench}\nrecordings:\n  - file: a.csv\n    channels: {channels}\n"

@@ -1,7 +1,5 @@
 """What an operator is told to do after a run that is not done, and that the command does go on."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import shlex
@@ -50,9 +48,7 @@ def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> 
 
 
 @pytest.mark.parametrize("state", list(ServoState))
-def test_a_fault_is_cleared_only_once_its_cause_is_removed(
-    stopped: RunRecord, state: ServoState
-) -> None:
+def test_a_fault_is_cleared_only_once_its_cause_is_removed(stopped, state):
     record = changed(stopped, state="failed", trip=None, drive_state=state.value)
     first, _, command = go_on_words(record, Path("x")).rpartition("\n")
     in_fault = state in (ServoState.FAULT, ServoState.FAULT_REACTION)
@@ -61,9 +57,7 @@ def test_a_fault_is_cleared_only_once_its_cause_is_removed(
 
 
 @pytest.mark.parametrize("verified", [True, False, None])
-def test_a_drive_that_was_not_read_back_comes_before_everything(
-    stopped: RunRecord, verified: bool | None
-) -> None:
+def test_a_drive_that_was_not_read_back_comes_before_everything(stopped, verified):
     lines = go_on_words(changed(stopped, de_energised=verified), Path("x")).splitlines()
     assert (lines[0] == f"first: {NOT_READ_BACK}") is (verified is not True)
     assert lines[-1] == "go on with: rig resume x"
@@ -84,17 +78,13 @@ def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, ch
     ("predicted", "limit", "above"),
     [(26.0, 25.0, True), (26.0, -25.0, True), (24.0, -25.0, False), (None, -0.5, False)],
 )
-def test_a_predicted_peak_is_held_against_the_limit_in_either_direction(
-    predicted: float | None, limit: float, above: bool
-) -> None:
+def test_a_predicted_peak_is_held_against_the_limit_in_either_direction(predicted, limit, above):
     trip = {"predicted": predicted, "limit": limit, "unit": "A"}
     assert foreseen(trip) is above
     assert ("the plan predicts" in remedy(Check.CURRENT, trip)) is above
 
 
-def test_the_words_end_the_message_and_the_command_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_words_end_the_message_and_the_command_goes_on(tmp_path, capsys):
     sequence, out = tmp_path / "one.yaml", tmp_path / "two words"
     sequence.write_text(ONE)
     faults = tmp_path / "faults.yaml"

@@ -1,7 +1,5 @@
 """The guarded side: feeding, a takeover, and a guardian that is gone."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -138,9 +136,7 @@ def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.Mo
     return made
 
 
-def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
-    guard: Guard, guardian: Guardian
-) -> None:
+def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(guard, guardian):
     guard.keep([7, 9])
     guard.arm(0.2)
     [(words, options)] = guardian.started
@@ -156,9 +152,7 @@ def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
     assert not os.get_blocking(guardian.stdin.fileno())
 
 
-def test_it_tells_the_drive_first_and_then_to_stand_by(
-    guard: Guard, guardian: Guardian, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_tells_the_drive_first_and_then_to_stand_by(guard, guardian, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     guard.record_in(Path("run"))
     guard.arm(0.25)
@@ -177,9 +171,7 @@ def test_it_tells_the_drive_first_and_then_to_stand_by(
     assert rest == b""
 
 
-def test_it_feeds_while_armed_and_not_more_often_than_needed(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_it_feeds_while_armed_and_not_more_often_than_needed(guard, guardian, time):
     guard.feed()
     guard.arm(0.2)
     guardian.heard()
@@ -197,9 +189,7 @@ def test_it_feeds_while_armed_and_not_more_often_than_needed(
     assert guardian.heard() == b""
 
 
-def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(guard, guardian, time):
     guard.arm(0.2)
     guardian.heard()
     time.wait(2.0)
@@ -242,9 +232,7 @@ def test_a_report_is_waited_for_three_seconds(guard: Guard, guardian: Guardian, 
     assert time.waits == [0.0] * 4
 
 
-def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(guard, guardian, time):
     guard.arm(0.2)
     time.wait(1.0)
     time.waits.clear()
@@ -342,9 +330,7 @@ def missed(guard: Guard, guardian: Guardian, time: Time) -> None:
     assert str(caught.value) == f"the guardian of {NAME} accepts no messages; stop and run again"
 
 
-def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(guard, guardian, time):
     missed(guard, guardian, time)
     time.wait(0.1)
     guard.feed()  # It is reported once.
@@ -378,9 +364,7 @@ def unanswered(guard: Guard, time: Time) -> None:
         guard.feed()
 
 
-def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(guard, guardian, time):
     guard.arm(0.2)
     answered(guard, guardian, time, 1.0)
     before_ns = time.now_ns
@@ -400,9 +384,7 @@ def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(
         unanswered(guard, time)
 
 
-def test_a_pause_of_the_program_is_no_silence_of_the_guardian(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_pause_of_the_program_is_no_silence_of_the_guardian(guard, guardian, time):
     guard.arm(10.0)
     answered(guard, guardian, time, 0.2)
     guard.feed()
@@ -412,9 +394,7 @@ def test_a_pause_of_the_program_is_no_silence_of_the_guardian(
     answered(guard, guardian, time, 1.0)
 
 
-def test_a_guardian_that_hangs_does_not_keep_the_bench(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_guardian_that_hangs_does_not_keep_the_bench(guard, guardian, time):
     guard.arm(0.2)
     guard.release()
     guardian.stubborn = True
@@ -429,9 +409,7 @@ def test_what_is_left_to_the_guardian_is_told(guard: Guard, guardian: Guardian) 
     assert guardian.heard() == b'{"left": true}\n'
 
 
-def test_a_guardian_that_does_not_start_keeps_the_drive_off(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def test_a_guardian_that_does_not_start_keeps_the_drive_off(guard, guardian, time):
     guardian.stdout.read(len(READY))
     with pytest.raises(LinkError) as caught:
         guard.arm(0.2)

@@ -1,7 +1,5 @@
 """The guardian of a drive without a watchdog: what it hears, what it does, what it writes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -518,9 +516,7 @@ def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
     ]
 
 
-def test_after_a_takeover_it_stands_by_for_the_next_power(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_after_a_takeover_it_stands_by_for_the_next_power(process, monkeypatch):
     process.silences = [1]
     lines = [
         json.dumps({"drive": DRIVE, "armed": True}).encode() + b"\n",

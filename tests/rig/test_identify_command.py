@@ -118,12 +118,7 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_compare(
-    campaign: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_compare(campaign, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("rig.results.identify.identify.COMPARED_SEEDS", 1)
     out = tmp_path / "out"
     assert status(["identify", str(campaign), "--compare", "--out", str(out)]) == 0
@@ -230,9 +225,7 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_identify_uses_and_shows_all_of_it(
-    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_identify_uses_and_shows_all_of_it(source, tmp_path, capsys):
     out = tmp_path / "out"
     assert status(["identify", str(source), "--out", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -271,9 +264,7 @@ print(*(name for name in sys.modules if name.split(".")[0] == "drivers"), file=s
 """
 
 
-def test_a_campaign_is_looked_at_and_identified_without_a_driver(
-    campaign: Path, tmp_path: Path
-) -> None:
+def test_a_campaign_is_looked_at_and_identified_without_a_driver(campaign, tmp_path):
     """As on a computer that has no bus."""
     arguments = [sys.executable, "-c", PROGRAM, str(campaign), str(tmp_path / "o")]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)

@@ -1,7 +1,5 @@
 """Real recordings through the whole of identification, against published values."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -86,9 +84,7 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("way", ["", "_forward", "_backward"])
-def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
-    recordings: Path, way: str
-) -> None:
+def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(recordings, way):
     """At 2 rpm the lead screw sticks and slips, and nothing of that is fitted."""
     first, second = result_of(f"screw_drive_1{way}.yaml"), result_of(f"screw_drive_2{way}.yaml")
     assert first.alpha == second.alpha == 2.0
@@ -123,14 +119,11 @@ def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_
         assert scored["load_dependent"] < scored["stribeck"]
         for rung in rungs.values():
             assert rung.result.fit.unit == "V"
-            assert rung.angle is not None
             assert 5.0 < 1e3 * rung.angle.value < worst_mrad
 
 
 @pytest.mark.recordings
-def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(
-    recordings: Path, tmp_path: Path
-) -> None:
+def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(recordings, tmp_path):
     found = simulate_source(
         CAMPAIGNS / "emps.yaml",
         [fitted_file("emps.yaml", tmp_path), CAMPAIGNS / "emps_published.json"],
@@ -159,7 +152,6 @@ def test_emps_carried_over_from_the_pulses_moves_the_mass(recordings: Path) -> N
     mass = next(m for m in found.parameters if m.name == "J")
     assert mass.difference == pytest.approx(1.1, abs=0.3)
     assert {m.name for m in found.parameters if m.moved} <= {"J"}
-    assert found.floor is not None
     assert found.floor.rms < 0.2 * found.own.train_rms < found.fit.train_rms
 
 
@@ -184,9 +176,7 @@ def quiet(_what: str, _share: float) -> None:
     ("name", "declared_mrad", "free_mrad"),
     [("sts3032_to_light.yaml", 12.0, 7.7), ("sts3032_to_heavy.yaml", 22.8, 17.5)],
 )
-def test_sts3032_predicts_the_angle_of_the_other_mass(
-    recordings: Path, name: str, declared_mrad: float, free_mrad: float
-) -> None:
+def test_sts3032_predicts_the_angle_of_the_other_mass(recordings, name, declared_mrad, free_mrad):
     """Mean absolute errors of the loop simulated from its command, supply and first sample."""
     rungs = {
         (r.friction, r.free): r
@@ -199,8 +189,6 @@ def test_sts3032_predicts_the_angle_of_the_other_mass(
     }
     for friction in (TRANSMITTED, DIRECTIONAL):
         declared, free = (rungs[friction, way].scored for way in (False, True))
-        assert declared is not None
-        assert free is not None
         assert 1e3 * declared.value < declared_mrad
         assert 1e3 * free.value < free_mrad
         drive = next(c for c in rungs[friction, True].constants if c.name == "torque_per_volt")

@@ -1,7 +1,5 @@
 """Ctrl-C on a real process in every phase of a run."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
@@ -13,6 +11,8 @@ import numpy as np
 
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import read_record
+
+from .benches import sine, stages
 
 CHILD = """
 import dataclasses
@@ -51,14 +51,10 @@ if sys.argv.pop(1) == "hold":
     Cia402Servo.quick_stop = brake
 sys.exit(status(sys.argv[1:]))
 """
-SEQUENCE = """\
-sequence: 1
-name: long
-limits: {speed_deg_s: 20}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 0.5, frequency_Hz: 0.5}],
-     duration_s: 60.2, ramp_in_s: 0.1, settle_s: 0}
-"""
+SEQUENCE = stages(
+    sine("empty", 0.5, 0.5, 60.2, more=", ramp_in_s: 0.1, settle_s: 0"),
+    head="limits: {speed_deg_s: 20}\n",
+)
 
 
 @contextmanager
@@ -76,7 +72,6 @@ def running(tmp_path: Path, *options: str, hold: bool = False) -> Iterator[subpr
 
 
 def wait_for(child: subprocess.Popen[str], words: str, times: int = 1) -> None:
-    assert child.stdout is not None
     said = ""
     while said.count(words) < times:
         character = child.stdout.read(1)
@@ -113,7 +108,6 @@ def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) 
         child.send_signal(signal.SIGINT)
         wait_for(child, "braking")
         child.send_signal(signal.SIGINT)
-        assert child.stdin is not None
         child.stdin.write("\n")
         child.stdin.flush()
         assert_stopped(child, tmp_path, "phase excite: stopped by the operator")

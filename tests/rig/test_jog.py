@@ -1,7 +1,5 @@
 """``rig jog``: slow, tightly limited, de-energised before and after."""
 
-from __future__ import annotations
-
 import json
 import math
 import signal
@@ -45,9 +43,7 @@ def test_it_goes_there_slowly_and_ends_without_power(fake_bench: Any) -> None:
     assert bench.calls["enable"] == 1
 
 
-def test_the_limits_are_low_in_host_and_drive(
-    fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limits_are_low_in_host_and_drive(fake_bench, monkeypatch):
     written: list[ServoLimits] = []
     write = fake_bench.write_limits
 
@@ -90,9 +86,7 @@ def test_a_limit_trips(fake_bench: Any, change: dict[str, float], words: str) ->
 
 
 @pytest.mark.parametrize(("number", "cycles"), [(signal.SIGINT, 50), (signal.SIGQUIT, 0)])
-def test_sigquit_takes_the_power_off_without_the_ramp(
-    fake_bench: Any, number: signal.Signals, cycles: int
-) -> None:
+def test_sigquit_takes_the_power_off_without_the_ramp(fake_bench, number, cycles):
     bench = fake_bench()
     bench.faults["exchange", 200] = lambda: signal.raise_signal(number)
     with StopButton() as stop:

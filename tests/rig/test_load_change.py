@@ -1,7 +1,5 @@
 """A load that changes within a stage is noticed; a bench that merely drifts is not accused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -43,9 +41,7 @@ def run(phase: str = "excite", after_s: float = 6.0, repeats: int = 1) -> int:
     return status(["run", "s.yaml", "--yes", "--out", "out", "--faults", "f.yaml"])
 
 
-def test_half_of_the_weight_taken_off_is_said_recorded_and_judged(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_half_of_the_weight_taken_off_is_said_recorded_and_judged(capsys):
     assert run() == 1
     record = read_record(Path("out"))
     assert record.state == "done"

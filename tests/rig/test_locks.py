@@ -1,7 +1,5 @@
 """One owner: locks of benches and run folders, held by real processes that end in every way."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -44,13 +42,11 @@ class Program:
         return self.process.pid
 
     def tell(self, words: str, answer: str) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n")
         self.process.stdin.flush()
         self.hear(answer)
 
     def hear(self, answer: str) -> None:
-        assert self.process.stdout is not None
         assert self.process.stdout.readline() == f"{answer}\n"
 
     def kill(self) -> None:
@@ -127,7 +123,6 @@ def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: 
     with program(kind, tmp_path) as first:
         first.kill()
         with hold(kind, tmp_path) as lock:
-            assert lock.taken_over is not None
             assert f"was left locked by `rig run` (process {first.pid}, user " in lock.taken_over
             assert lock.taken_over.endswith(
                 "which no longer holds the lock; the lock is taken over"
@@ -138,9 +133,7 @@ def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: 
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(kind, tmp_path):
     with program(kind, tmp_path) as first:
         first.tell("guard", "guarding")
         first.kill()
@@ -155,7 +148,6 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
         first.tell("release", "released")
         assert lock_file(kind, tmp_path).exists() is (kind == "bench")
         assert free(kind, tmp_path)
-        assert first.process.stdin is not None
         first.process.stdin.close()
 
 
@@ -169,7 +161,6 @@ def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path
             hold(kind, tmp_path)
         first.tell("release", "released")
         assert free(kind, tmp_path)
-        assert first.process.stdin is not None
         first.process.stdin.close()
 
 
@@ -254,9 +245,7 @@ def test_a_link_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("reason", "broken"), [(errno.EROFS, "os.open"), (errno.ENOLCK, "fcntl.flock"), (0, "fcntl")]
 )
-def test_a_system_that_refuses_is_an_error_in_words(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: int, broken: str
-) -> None:
+def test_a_system_that_refuses_is_an_error_in_words(kind, tmp_path, monkeypatch, reason, broken):
     opened = os.open
 
     def refuse(path: Any, flags: int, *mode: int, **options: Any) -> int:
@@ -272,9 +261,7 @@ def test_a_system_that_refuses_is_an_error_in_words(
         hold(kind, tmp_path)
 
 
-def test_a_full_disk_takes_the_name_and_leaves_the_lock(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_takes_the_name_and_leaves_the_lock(kind, tmp_path, monkeypatch):
     def refuse(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -298,9 +285,7 @@ def test_releasing_never_raises(kind: str, tmp_path: Path) -> None:
     assert lock.descriptors == ()
 
 
-def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(kind, tmp_path):
     code = (
         "import os, sys; from pathlib import Path; from rig.common.locks import Resource, "
         "hold_bench, hold_folder\n"
@@ -321,9 +306,7 @@ def test_a_folder_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
             hold("folder", tmp_path / name)
 
 
-def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(tmp_path, monkeypatch):
     last, locked = hold("folder", tmp_path), locks._locked
     with ExitStack() as later:
 
@@ -341,9 +324,7 @@ def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
     assert free("folder", tmp_path)
 
 
-def test_a_file_that_comes_while_the_last_one_is_removed_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_comes_while_the_last_one_is_removed_stays(tmp_path, monkeypatch):
     lock, locked = hold("folder", tmp_path), locks._locked
 
     def late(descriptor: int, fcntl: Any) -> bool:
@@ -356,9 +337,7 @@ def test_a_file_that_comes_while_the_last_one_is_removed_stays(
     assert (tmp_path / OWNER_FILE).exists()
 
 
-def test_a_file_that_another_user_makes_at_the_same_moment_is_opened(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_another_user_makes_at_the_same_moment_is_opened(kind, tmp_path, monkeypatch):
     opened, file = os.open, lock_file(kind, tmp_path)
 
     def protect(path: Any, flags: int, *mode: int, **options: Any) -> int:
@@ -395,9 +374,7 @@ HERE = Holder(1234, "rig run", "bench x", "ada", socket.gethostname(), "2026-11-
         ({"host": "", "user": "", "command": ""}, "`a program` (process 1234)"),
     ],
 )
-def test_what_differs_is_said_and_what_is_not_known_is_not(
-    changes: dict[str, str], words: str
-) -> None:
+def test_what_differs_is_said_and_what_is_not_known_is_not(changes, words):
     assert replace(HERE, **changes, since="").words("bench x", NOW) == words  # type: ignore[arg-type]
 
 

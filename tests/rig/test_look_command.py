@@ -1,7 +1,5 @@
 """``rig look``: what is in a log, and a first campaign file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -28,9 +26,7 @@ def write_log(path: Path, header: str = "time_ms,i [mA],phi_m,pos [deg],text") -
     path.write_text("\n".join([header, *lines]), encoding="utf-8")
 
 
-def test_a_look_finds_units_rate_gap_wrap_and_text(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_look_finds_units_rate_gap_wrap_and_text(tmp_path, capsys):
     write_log(tmp_path / "log.csv")
     arguments = ["look", str(tmp_path / "log.csv"), "--json", str(tmp_path / "look.json")]
     assert status(arguments) in (None, 0)
@@ -54,9 +50,7 @@ def test_a_look_finds_units_rate_gap_wrap_and_text(
     assert log["clock"]["period_s"] == pytest.approx(2e-3)
 
 
-def test_the_campaign_of_a_look_is_valid_and_loads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_campaign_of_a_look_is_valid_and_loads(tmp_path, capsys):
     write_log(tmp_path / "log_5kg.csv", "time_ms;i [mA];phi_m;pos [deg];text")
     text = (tmp_path / "log_5kg.csv").read_text().replace(",", ";").replace(".", ",")
     (tmp_path / "log_5kg.csv").write_text("made by a logger\n" + text)
@@ -73,9 +67,7 @@ def test_the_campaign_of_a_look_is_valid_and_loads(
     assert status([*arguments, "--campaign", str(campaign)]) == 2
 
 
-def test_a_log_whose_columns_are_unknown_names_the_remedy(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_whose_columns_are_unknown_names_the_remedy(tmp_path, capsys):
     write_log(tmp_path / "log.csv", "a,b,c,d,e")
     arguments = ["look", str(tmp_path / "log.csv"), "--campaign", str(tmp_path / "c.yaml")]
     assert status(arguments) == 2
@@ -85,9 +77,7 @@ def test_a_log_whose_columns_are_unknown_names_the_remedy(
     assert not (tmp_path / "c.yaml").exists()
 
 
-def test_a_look_at_a_campaign_and_at_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_look_at_a_campaign_and_at_nothing(tmp_path, capsys):
     write_log(tmp_path / "log.csv")
     campaign = tmp_path / "c.yaml"
     assert status(["look", str(tmp_path / "log.csv"), "--campaign", str(campaign)]) in (None, 0)

@@ -1,7 +1,5 @@
 """A simulated bench made from a result reproduces the recording that the result describes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -18,12 +16,9 @@ from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.runs.run import bench_constants, load_run
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - {name: free, stage: unloaded, tones: [{amplitude_deg: 8, frequency_Hz: 0.5}], duration_s: 2.5}
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 8, 0.5, 2.5))
 NOMINAL = {
     "J": 0.21, "Mc": 5.9, "Ms": 10.1, "omega_sf": 0.061, "sigma_2": 4.4, "mu_c": 0.05, "mu_s": 0.08,
     "omega_sL": 0.03, "mu_2": 0.03,
@@ -121,9 +116,7 @@ def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
         (Constants(motion="linear"), record({}), "which the result"),
     ],
 )
-def test_what_a_machine_needs_is_asked_for(
-    constants: Constants | None, found: dict[str, Any], why: str
-) -> None:
+def test_what_a_machine_needs_is_asked_for(constants, found, why):
     with pytest.raises(InputError, match=why):
         model_bench(
             base_bench(Path()),

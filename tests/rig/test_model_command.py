@@ -1,7 +1,5 @@
 """``rig model``: the model of a result in other tools computes what the program does."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -26,16 +24,8 @@ from identification.recording import Bench
 from identification.simulation.closed_loop import OPEN_LOOP, Inputs, simulate
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.model import (
-    FORMATS,
-    SIMULATION,
-    Model,
-    exported,
-    read_model,
-)
-from rig.results.model import (
-    MOTION as MOTION_FILE,
-)
+from rig.results.model import FORMATS, SIMULATION, Model, exported, read_model
+from rig.results.model import MOTION as MOTION_FILE
 
 PARAMETERS = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,
@@ -360,9 +350,7 @@ def test_mujoco_has_the_torque_within_the_printed_error(name: str | None, tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["yaml", *FORMATS])
-def test_every_format_is_written_from_the_command_line(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_format_is_written_from_the_command_line(kind, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     folder = result(tmp_path / "demo", [named("transport_delay"), named("cogging")])
     arguments = ["model", str(folder), "--format", kind, "--json", "record.json"]
@@ -380,9 +368,7 @@ def test_every_format_is_written_from_the_command_line(
     ("changes", "place"),
     [({"constants": None}, "constants"), ({"parameters": {"Mc": 1.0}}, "parameters.J")],
 )
-def test_a_result_without_what_a_model_needs(
-    changes: dict[str, Any], place: str, tmp_path: Path
-) -> None:
+def test_a_result_without_what_a_model_needs(changes, place, tmp_path):
     with pytest.raises(InputError) as error:
         exported(read_model(result(tmp_path / "demo", **changes)), "c")
     assert f"diagnose.json: {place}" in str(error.value)

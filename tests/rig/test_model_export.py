@@ -1,7 +1,5 @@
 """The exported model: a file that stands alone and computes what this program computes."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import subprocess
@@ -54,8 +52,6 @@ def imported(text: str, tmp_path: Path) -> ModuleType:
     path = tmp_path / "model.py"
     path.write_text(text)
     spec = importlib.util.spec_from_file_location("exported", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -120,11 +116,3 @@ def test_a_curve_against_the_motion_changes_its_sign_with_it(tmp_path: Path) -> 
     assert np.abs(added).min() > 0.5
     assert added == pytest.approx(carried(curve, "torque", s))
     assert yaml.safe_load(yaml_text(model, RECORDING))["curve"]["against_motion"] is True
-
-
-def test_yaml_holds_parameters_constants_and_effects() -> None:
-    model = CorrectedModel(PARAMETERS, 2.0, {"backlash": {"gap_rad": 0.007}})
-    record = yaml.safe_load(yaml_text(model, RECORDING))
-    assert record["parameters"] == PARAMETERS
-    assert record["effects"] == {"backlash": {"gap_rad": 0.007}}
-    assert record["constants"]["ampere_torque"] == pytest.approx(3.0)

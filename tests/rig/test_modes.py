@@ -1,13 +1,11 @@
 """Benches whose drive takes speeds, torques or set-points, and faults of makes' drives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
-from drivers.mock.makes import MAKES
+from drivers.mock.traits import MAKES
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench

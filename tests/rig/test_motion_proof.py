@@ -1,7 +1,5 @@
 """Units, signs, ratio and torque constant from the samples of a motion."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -147,9 +145,7 @@ def test_torque_constant(stated: float, source: str) -> None:
 
 
 @pytest.mark.parametrize(("share", "wrong"), [(0.577, 0), (0.5, 1)])
-def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(
-    share: float, wrong: int
-) -> None:
+def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(share, wrong):
     nominal = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM)
     assert len(proven(motion(torque=nothing), nominal).contradictions) == wrong
     other = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM / share)
@@ -182,29 +178,24 @@ def early(moved: Any, joint: Any, velocity: Any) -> Motion:
 def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
     moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
     found = hint(early(moved, factor * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert found is not None
     assert found.factor == pytest.approx(factor, rel=0.02)
 
 
 def test_an_encoder_that_stands_still_explains_a_trip() -> None:
     moved = np.linspace(0.0, 1.0, 30) ** 2 * 5e-3
     found = hint(early(moved, 0.0 * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert found is not None
     assert "the joint encoder stands still" in found.words
 
 
 @pytest.mark.parametrize("shown", [0, 1, 2])
 @pytest.mark.parametrize("counts", [5, 40])
-def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(
-    shown: int, counts: int
-) -> None:
+def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(shown, counts):
     count = 1e-5
     moved = np.concatenate((np.zeros(150), count * np.arange(1.0, counts + 1)))
     joint = np.floor(np.linspace(0.0, shown, len(moved))) * 4e-4
     right = early(moved, joint, np.gradient(moved, 1e-3))
     assert hint(right, NOMINAL, Remedies()) is None  # type: ignore[arg-type]
     found = hint(early(moved, joint, 60.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert found is not None
     assert found.what == "speed against position"
     assert ("few counts" in found.words) == (counts == 5)
 
@@ -226,7 +217,6 @@ def test_the_peak_of_a_slip_back_is_no_wrong_sign() -> None:
     moved = -1e-4 * np.repeat(np.arange(6.0), 5)
     velocity = np.where(np.arange(30) == 29, 8.0, 0.0)
     found = hint(early(moved, moved, velocity), NOMINAL, Remedies(count=1e-4), too_fast=True)  # type: ignore[arg-type]
-    assert found is not None
     assert found.factor == pytest.approx(100.0)
 
 
@@ -235,7 +225,6 @@ def test_a_ratio_is_not_taken_from_the_rest_before_the_motion() -> None:
     moved = np.concatenate((rest, 1e-5 * np.arange(1.0, 7.0)))
     joint = np.concatenate((rest, 1e-5 * np.array([0.5, 3.0, 1.0, 5.0, 2.0, 4.0])))
     found = hint(early(moved, joint, 1000.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert found is not None
     assert found.what == "speed against position"
 
 
@@ -253,7 +242,6 @@ def test_two_counts_of_the_motor_and_a_turning_joint_are_one_shaft() -> None:
     moved = count * np.repeat([0.0, 1.0, 2.0], 10)
     joint = GEAR * np.linspace(0.0, 2.4 * count, 30)
     found = hint(early(moved, joint, np.zeros(30)), NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert found is not None
     assert "on the same side of the gear" in found.words
 
 
@@ -273,7 +261,6 @@ def test_the_motion_until_standstill_makes_a_rough_factor_surer() -> None:
     moved = np.linspace(0.0, 1e-3, 60)
     peak = early(moved[:8], moved[:8], 90.0 * np.gradient(moved, 1e-3)[:8])
     rough = hint(peak, NOMINAL, Remedies())  # type: ignore[arg-type]
-    assert rough is not None
     assert rough.rough
     whole = early(moved, moved, 10.0 * np.gradient(moved, 1e-3))
     found = surer(rough, whole, Remedies())  # type: ignore[arg-type]
@@ -292,7 +279,6 @@ def test_a_rough_factor_names_a_power_of_ten_that_is_nearer_than_the_common_unit
     for factor, words in ((12.0, "unit 68; or the factor is 10: unit 10"), (60.0, "unit 68; few")):
         few = early(moved, moved, factor * np.gradient(moved, 1e-3))
         found = hint(few, NOMINAL, Drive())  # type: ignore[arg-type]
-        assert found is not None
         assert words in found.words
 
 
@@ -350,9 +336,7 @@ def test_too_slow_a_travel_and_stale_samples_decide_nothing() -> None:
     assert witnessed(68.0, fresh=False) is None
 
 
-def test_a_run_ends_before_its_first_stage_and_takes_the_power_off(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_run_ends_before_its_first_stage_and_takes_the_power_off(runner, fake_bench):
     bench = fake_bench()
     follow = bench.exchange
 

@@ -1,7 +1,5 @@
 """Off is proved by state, current and motion, on every transport and wherever off is said."""
 
-from __future__ import annotations
-
 import json
 import math
 import random
@@ -137,9 +135,7 @@ def test_a_decaying_current_is_waited_for() -> None:
 
 @pytest.mark.parametrize("frequency_Hz", [0.5, 2.0])
 @pytest.mark.parametrize("phase", [n / 4 for n in range(8)])
-def test_a_joint_that_swings_does_not_rest_at_its_turning_points(
-    phase: float, frequency_Hz: float
-) -> None:
+def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase, frequency_Hz):
     drive = Drive(
         angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * frequency_Hz * t + phase))
     )
@@ -153,9 +149,7 @@ def test_a_joint_that_swings_does_not_rest_at_its_turning_points(
 
 
 @pytest.mark.parametrize(("counts", "windows"), [(0, 1), (2, 1), (3, 2)])
-def test_only_a_joint_that_leaves_its_resolution_is_observed_for_longer(
-    counts: int, windows: int
-) -> None:
+def test_only_a_joint_that_leaves_its_resolution_is_observed_for_longer(counts, windows):
     def angle(t: float) -> float:
         return counts * STEP_RAD * float(t > 0.02)
 

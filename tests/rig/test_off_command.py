@@ -1,7 +1,5 @@
 """`rig off`: who is ended and how, and what comes of a drive that answers or does not."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -201,9 +199,7 @@ def test_who_cannot_be_ended_does_not_keep_the_bench_from_being_made_safe(desk: 
     assert any("acts all the same" in words for words in desk.said)
 
 
-def test_the_lock_of_a_killed_program_is_waited_for(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lock_of_a_killed_program_is_waited_for(desk, monkeypatch):
     desk.processes.add(RUN, "rig run")
     held = hold_bench("other", bus_resources(desk.document.value), "rig run")
     refused = 0
@@ -250,9 +246,7 @@ def wired(tmp_path: Path) -> Iterator[PtyBench]:
         yield bench
 
 
-def test_a_program_that_uses_the_bench_ends_as_if_it_were_stopped(
-    wired: PtyBench, tmp_path: Path
-) -> None:
+def test_a_program_that_uses_the_bench_ends_as_if_it_were_stopped(wired, tmp_path):
     file = tmp_path / "off.json"
     with rig("jog", str(wired.path)) as first:
         first.wait_for(ANGLE)
@@ -279,9 +273,7 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
     assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
 
 
-def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
-    wired: PtyBench, tmp_path: Path
-) -> None:
+def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(wired, tmp_path):
     ours, theirs = pty.openpty()
     wired.path.write_text(wired.path.read_text().replace(wired.port, os.ttyname(theirs)))
     file = tmp_path / "off.json"

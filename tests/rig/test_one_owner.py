@@ -1,7 +1,5 @@
 """Two programs on one bench and on one run folder, as users start them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -14,14 +12,16 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.link import CanopenLink
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from rig.cli.entry import status
 from rig.common import locks
 from rig.common.errors import InputError, InUseError
-from rig.common.locks import OWNER_FILE, Resource, hold_bench
+from rig.common.locks import OWNER_FILE, Lock, Resource, hold_bench
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.control.attendance import when_free
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
 from rig.wiring import connect as connect_module
@@ -42,7 +42,6 @@ class Rig:
 
     def wait_for(self, prompt: str) -> None:
         """Read what it says until it asks."""
-        assert self.process.stderr is not None
         said = b""
         while not said.endswith(prompt.encode()):
             letter = self.process.stderr.read(1)
@@ -50,7 +49,6 @@ class Rig:
             said += letter
 
     def answer(self, words: str) -> None:
-        assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n".encode())
         self.process.stdin.flush()
 
@@ -83,7 +81,7 @@ def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
         ["check", file],
         ["jog", file],
         ["jog", file, "--to", "1"],
-        ["run", str(sequence), "--bench", file, "--out", str(out)],
+        ["run", str(sequence), "--bench", file, "--out", str(out), "--wait", "0.1"],
     ]
 
 
@@ -97,9 +95,7 @@ def settled(bench: PtyBench) -> int:
 
 
 @pytest.mark.parametrize("kind", ["serial", pytest.param("slcan", marks=pytest.mark.proof)])
-def test_the_second_program_on_a_bench_is_refused(
-    kind: str, tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_second_program_on_a_bench_is_refused(kind, tmp_path, short_sequence, capsys):
     # The limits of a serial bench are cut.
     text = short_sequence.read_text().replace("amplitude_deg: 5", "amplitude_deg: 1")
     # With weights a run on a real bench would first be refused for want of a terminal.
@@ -124,9 +120,24 @@ def test_the_second_program_on_a_bench_is_refused(
             assert lock.taken_over is None
 
 
-def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_waits_for_a_bench_that_is_in_use(tmp_path):
+    part, clock, said = Resource("simulated", "port simulated"), SimulatedClock(), []
+    first = hold_bench("wired", [part], "rig jog", tmp_path)
+    clock.call_at(20 * NS, first.release)
+
+    def hold() -> Lock:
+        return hold_bench("wired", [part], "rig run", tmp_path)
+
+    with pytest.raises(InUseError):
+        when_free(hold, 10.0, said.append, clock)
+    assert clock.now_ns() == 10 * NS
+    with when_free(hold, 30.0, said.append, clock) as lock:
+        assert lock.descriptors
+    assert clock.now_ns() == 20 * NS
+    assert ["`rig jog`" in words for words in said] == [True, True]
+
+
+def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(tmp_path, monkeypatch):
     part = Resource("simulated", "port simulated")
     monkeypatch.setattr(connect_module, "resources", lambda bench: (part,))
     monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path)
@@ -153,7 +164,6 @@ def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
     monkeypatch.setattr(CanopenLink, "close", watched_close)
     with connect(load_bench("practical"), 0, False, purpose="rig jog") as devices:
         assert in_use() == "rig jog"
-        assert devices.lock is not None
         assert len(devices.lock.descriptors) == 1
     assert seen == [("open", "rig jog"), ("close", "rig jog")]
     assert in_use() == "free"
@@ -203,9 +213,7 @@ def test_a_run_that_is_still_going_is_neither_recovered_nor_resumed(
     assert read_record(run).state == "done"
 
 
-def test_a_run_whose_program_was_killed_is_taken_over_and_said(
-    tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_whose_program_was_killed_is_taken_over_and_said(tmp_path, short_sequence, capsys):
     run, moved = tmp_path / "run", tmp_path / "moved"
     with rig("run", str(short_sequence), "--out", str(run)) as first:
         first.wait_for(MASS)
@@ -268,15 +276,11 @@ def test_a_simulated_bench_uses_nothing_that_others_could(name: str) -> None:
         ("slcan", "/dev/no\0ne", Resource("/dev/no\0ne", "port /dev/no\0ne")),
     ],
 )
-def test_a_channel_is_a_device_or_a_name(
-    interface: str, channel: str | None, expected: Resource
-) -> None:
+def test_a_channel_is_a_device_or_a_name(interface, channel, expected):
     assert resources(can_bench(interface, channel)) == (expected,)
 
 
-def test_a_port_is_the_same_under_all_its_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_is_the_same_under_all_its_names(tmp_path, monkeypatch):
     by_id = tmp_path / "usb-FTDI-port0"
     by_id.symlink_to(tmp_path / "ttyUSB0")
     monkeypatch.chdir(tmp_path)

@@ -1,7 +1,5 @@
 """Options and numbers of files: judged before anything is done, completed by the shell."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -147,9 +145,7 @@ def answered(text: str) -> list[str]:
         (("rig", "new", "bench", "b.yaml", "--drive", "epos"), ["epos4-serial"]),
     ],
 )
-def test_commands_and_options_are_completed(
-    words: tuple[str, ...], found: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_and_options_are_completed(words, found, monkeypatch):
     for name, value in variables(*words).items():
         monkeypatch.setenv(name, value)
     completion = BashComplete(cli, {}, "rig", "_RIG_COMPLETE")
@@ -159,9 +155,7 @@ def test_commands_and_options_are_completed(
 @pytest.mark.parametrize(
     ("typed", "nearest"), [("chekc", "'check'"), ("Identify", "'identify'"), ("zzz", "diagnose")]
 )
-def test_a_mistyped_command_gets_the_nearest_name(
-    typed: str, nearest: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_mistyped_command_gets_the_nearest_name(typed, nearest, capsys):
     """Without a near name, all names are listed."""
     assert status([typed]) == 2
     assert nearest in capsys.readouterr().err
@@ -182,9 +176,7 @@ def elsewhere(short_sequence: Path, monkeypatch: pytest.MonkeyPatch, finished_ru
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER, RESUME], ids=lambda c: c[0])
-def test_a_missing_folder_is_bad_input_before_anything_is_done(
-    command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_folder_is_bad_input_before_anything_is_done(command, capsys, monkeypatch):
     def connected(*arguments: Any) -> None:
         raise AssertionError("a bench was connected to")
 
@@ -197,9 +189,7 @@ def test_a_missing_folder_is_bad_input_before_anything_is_done(
 
 @pytest.mark.usefixtures("elsewhere")
 @pytest.mark.parametrize("command", [RUN, CHECK, JOG], ids=lambda c: c[0])
-def test_a_negative_seed_is_bad_input(
-    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_negative_seed_is_bad_input(command, capsys):
     assert status([*command, "--seed", "-1"]) == 2
     assert "-1 is not in the range x>=0" in capsys.readouterr().err
     assert not Path("out").exists()

@@ -1,7 +1,5 @@
 """Windows and macOS: with what they lack hidden, everything imports, and a run is refused."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Standard streams that are full, gone or closed: the work is done, its files are written."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os
@@ -13,6 +11,8 @@ import pytest
 
 from rig.terminal.output import Inlet, Outlet, complain, reader_gone
 from tests.rig.command import assert_in_words, rig
+
+from .benches import sine, stages
 
 ROWS = """\
 import click
@@ -36,14 +36,10 @@ given.
 """
 
 SHORT = "short.yaml"
-SEQUENCE = """\
-sequence: 1
-name: short
-limits: {speed_deg_s: 20}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 1, frequency_Hz: 1}], duration_s: 2,
-     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0}
-"""
+SEQUENCE = stages(
+    sine("empty", 1, 1, 2, more=", ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0"),
+    head="limits: {speed_deg_s: 20}\n",
+)
 
 
 @pytest.mark.parametrize(("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")])
@@ -132,9 +128,7 @@ def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, 
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_complaining_without_stderr_is_no_error(
-    monkeypatch: pytest.MonkeyPatch, closed: bool
-) -> None:
+def test_complaining_without_stderr_is_no_error(monkeypatch, closed):
     stream = io.StringIO()
     stream.close()
     monkeypatch.setattr(sys, "stderr", stream if closed else None)

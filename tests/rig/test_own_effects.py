@@ -1,8 +1,7 @@
 """Effects of one's own from the command line: check, diagnosis, export, simulation, injection."""
 
-from __future__ import annotations
-
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,11 @@ from rig.results.diagnose.document import check_effects
 from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.own_effects import OwnFile, read_effects
+from rig.results.model import exported, read_model
 from rig.runs.run import load_run
 from rig.wiring.connect import connect
 from tests.rig.test_model_bench import record, run
+from tests.rig.test_model_command import result as model_result
 from tests.rig.test_model_export import (
     ACCELERATION,
     ANGLE,
@@ -102,8 +103,48 @@ def tabled(s, p):
 """
     own = read_effects(mine(tmp_path, text))
     model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
-    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a ndarray"):
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+    s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
+    assert module.torque(s) == pytest.approx(model.torque(s), rel=1e-12, abs=1e-12)
+    own = read_effects(mine(tmp_path, text.replace("np.array([0.0, 1.0])", "[0.0, 1.0]")))
+    model = CorrectedModel(PARAMETERS, 2.0, {"tabled": {"a": 2.0}}, None, own.catalogue)
+    with pytest.raises(ValueError, match=r"mine\.py: tabled uses TABLE, which is a list"):
         python_text(model, RECORDING, "bench")
+
+
+def test_the_model_for_other_tools_has_effects_of_ones_own(six: OwnFile, tmp_path: Path) -> None:
+    made = read_model(model_result(tmp_path / "demo", six.effects), six)
+    assert made.machine is not None
+    assert made.machine.left_out == ()
+    kinds = ("c", "python") if shutil.which("cc") else ("python",)
+    assert all(max(exported(made, kind).checks.values()) < 1e-6 for kind in kinds)
+
+
+def test_what_other_tools_cannot_have_is_named_with_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = """
+@effect(a=("N m s/rad", 0.0, 5.0))
+def of_all_samples(s, p):
+    return p.a * (s.velocity - np.mean(s.velocity))
+
+@effect(a=("N m", 0.0, 5.0), w=("rad/s", 0.1, 1.0))
+def without_a_form(s, p):
+    return p.a * np.arctan(s.velocity / p.w)
+"""
+    path = mine(tmp_path, text)
+    own, result = read_effects(path), tmp_path / "m.json"
+    folder = model_result(tmp_path / "demo", own.effects, **own.record)
+    given = ["model", str(folder), "--effects", str(path), "--json", str(result)]
+    assert status([*given, "--format", "modelica", "--out", str(tmp_path / "a")]) == 0
+    left = json.loads(result.read_text())["not_simulated"]
+    assert [e["name"] for e in left] == ["of_all_samples", "without_a_form"]
+    assert left[0]["parameters"] == {"a": 1.5}
+    assert status([*given, "--format", "yaml", "--out", str(tmp_path / "b")]) == 0
+    written = yaml.safe_load((tmp_path / "b" / "demo.yaml").read_text())
+    assert {*written["effects"]} == {"of_all_samples", "without_a_form"}
+    assert status(given[:2]) == 2
+    assert "--effects" in capsys.readouterr().err
 
 
 def test_the_command_checks_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,6 +163,43 @@ def test_the_command_checks_a_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert status(["effects", "--check", str(tmp_path / "absent.py")]) == 2
     assert status(["effects", "backlash", "--check", str(SIX)]) == 2
     assert status(["effects", "--on", str(SIX)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("-p.c * speed", "sign:"),
+        ("p.c * speed * abs(speed)", "units:"),
+        ("p.cc * speed", "the parameters are c"),
+        ("p.c * speed / angle / 0.0", "ZeroDivisionError"),
+        ("p.c * speed * math.inf", "returns"),
+        ("p.c * speed", ""),
+    ],
+)
+def test_the_check_tries_the_function_that_injects(body: str, words: str, tmp_path: Path) -> None:
+    text = f"""
+@effect(c=("N m s/rad", 0.0, 5.0))
+def drag(s, p):
+    return p.c * s.velocity
+
+def inject_drag(angle, speed, motor_torque, load, state, dt, p):
+    return {body}
+"""
+    (found,) = check_effects(read_effects(mine(tmp_path, text)), None)
+    assert [words in p and "mine.py:9: inject_drag" in p for p in found.problems] == [True] * bool(
+        words
+    )
+    other = text.replace("state, dt, p", "p")
+    (found,) = check_effects(read_effects(mine(tmp_path, other)), None)
+    assert "it is called as" in found.problems[0]
+
+
+def test_a_wrong_name_of_a_parameter_lists_those_there_are(tmp_path: Path) -> None:
+    text = (
+        '@effect(c=("N m", 0, 9), b=("", 0, 1))\ndef drag(s, p):\n    return p.cc * s.direction\n'
+    )
+    with pytest.raises(InputError, match="the parameters are c, b"):
+        read_effects(mine(tmp_path, text))
 
 
 def test_another_diagnosis_does_not_see_the_effects(tmp_path: Path) -> None:
@@ -147,9 +225,7 @@ def injected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     return run(folder, "hidden", bench), bench
 
 
-def test_a_bench_file_injects_an_effect_of_ones_own(
-    injected: tuple[Path, dict[str, Any]], six: OwnFile
-) -> None:
+def test_a_bench_file_injects_an_effect_of_ones_own(injected, six):
     folder, bench = injected
     (hidden,) = load_run(folder).recordings
     bench["mock"]["effects"] = {}
@@ -163,9 +239,7 @@ def test_a_bench_file_injects_an_effect_of_ones_own(
     assert b"effects_file" not in b"".join(p.read_bytes() for p in folder.glob("*.yaml"))
 
 
-def test_the_corrected_bench_injects_it_again(
-    injected: tuple[Path, dict[str, Any]], six: OwnFile
-) -> None:
+def test_the_corrected_bench_injects_it_again(injected, six):
     folder, _ = injected
     (recording,) = load_run(folder).recordings
     model = model_of(record({"root_drag": {"c": 6.0}}), ["a"], "r", six.catalogue)
@@ -190,9 +264,7 @@ def test_the_corrected_bench_injects_it_again(
         ),
     ],
 )
-def test_a_wrong_file_of_a_bench_has_its_place(
-    text: str | None, effects: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_a_wrong_file_of_a_bench_has_its_place(text, effects, words, tmp_path):
     if text is not None:
         (tmp_path / "mine.py").write_text(text)
     bench = base_bench(tmp_path)
@@ -205,9 +277,7 @@ def test_a_wrong_file_of_a_bench_has_its_place(
     assert "mock.effects" in str(refused.value)
 
 
-def test_a_check_on_recordings_finds_what_they_cannot_show(
-    injected: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_check_on_recordings_finds_what_they_cannot_show(injected, tmp_path):
     folder, _ = injected
     same, viscous = check_effects(read_effects(mine(tmp_path, COPY)), folder)
     assert [p.partition(":")[0] for p in same.problems] == ["copies quadratic_drag"]

@@ -1,7 +1,5 @@
 """What was recorded of a run that stopped, exported and identified when asked for."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,8 @@ from rig.common.errors import InputError
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
 from rig.runs.run_file import partial_names, partial_warnings, without_partial
+
+from .benches import sine, stages
 
 FIRST, SECOND = 600, 1200
 """A cycle well inside the first excitation of the short sequence, and one inside the second."""
@@ -32,9 +32,7 @@ def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunF
     return folder
 
 
-def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(runner, fake_bench):
     folder = tripped(runner, fake_bench, FIRST, stale=4)
     samples = read_run(folder.recording).samples
     inside = samples["segment"] == 1
@@ -69,9 +67,7 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     assert "without --partial" in without_partial(both)
 
 
-def test_excitations_that_never_began_or_were_begun_again_are_none(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_excitations_that_never_began_or_were_begun_again_are_none(runner, fake_bench):
     folder = tripped(runner, fake_bench, FIRST)
     discard(folder.record, 0)
     folder.save()
@@ -89,9 +85,7 @@ def first_cycle(runner: Any, fake_bench: Any) -> int:
 
 
 @pytest.mark.parametrize("count", [LEAST_SAMPLES - 1, LEAST_SAMPLES])
-def test_few_samples_make_a_recording_one_makes_none(
-    runner: Any, fake_bench: Any, tmp_path: Path, count: int
-) -> None:
+def test_few_samples_make_a_recording_one_makes_none(runner, fake_bench, tmp_path, count):
     begin = first_cycle(runner, fake_bench)
     runner.folder = tmp_path / "again"
     folder = tripped(runner, fake_bench, begin + count - 1)
@@ -120,9 +114,7 @@ def test_a_campaign_has_nothing_partial(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--partial is allowed for a run folder only" in capsys.readouterr().err
 
 
-def test_an_export_names_what_is_partial(
-    runner: Any, fake_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_export_names_what_is_partial(runner, fake_bench, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tripped(runner, fake_bench, SECOND)
     assert status(["export", str(folder.path), "--out", "a.csv"]) == 0
@@ -138,13 +130,7 @@ def test_an_export_names_what_is_partial(
     ]
 
 
-SLOW = """\
-sequence: 1
-name: slow
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.5}], duration_s: 8,
-     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05}
-"""
+SLOW = stages(sine("empty", 15, 0.5, 8, more=", ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05"))
 
 
 @pytest.fixture(scope="module")
@@ -162,9 +148,7 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", ["paper", pytest.param("default", marks=pytest.mark.proof)])
-def test_an_identification_of_what_was_recorded_says_so(
-    stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str
-) -> None:
+def test_an_identification_of_what_was_recorded_says_so(stopped, tmp_path, capsys, method):
     assert status(["identify", str(stopped), "--out", str(tmp_path)]) == 2
     assert "--partial uses the recorded part" in capsys.readouterr().err
     arguments = ["identify", str(stopped), "--method", method, "--partial", "--out", str(tmp_path)]

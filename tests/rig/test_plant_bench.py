@@ -1,22 +1,21 @@
 """A bench file with a machine of one's own: what a run with it does, records and refuses."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from drivers.errors import CORRECT_MACHINE
 from rig.cli.authoring.schema import json_schema
 from rig.cli.entry import status
 from rig.common.yaml_tree import parse
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
+from rig.results.run.go_on import NEW_RUN
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run, read_record
@@ -100,9 +99,7 @@ def test_an_fmu_runs_on_the_bench() -> None:
 
 
 @pytest.mark.parametrize("source", ["practical", "practical_serial", "practical_dbc"])
-def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
-    source: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(source, capsys):
     Path("short.yaml").write_text(SHORT.replace("frequency_Hz: 2", "frequency_Hz: 1"))
     machine("if self.steps > 25_000 and voltage_V > 1.0: 1 / 0")
     bench({"python": "machine.py", "class": "Mine"}, source)
@@ -110,10 +107,14 @@ def test_an_error_in_it_ends_the_run_with_the_drive_off_and_the_recording_kept(
     line = next(n for n, text in enumerate(lines, 1) if "1 / 0" in text)
     assert run() == 4
     place = f"machine.py:{line}: step("
-    assert place in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert place in told
+    assert CORRECT_MACHINE in told
+    assert NEW_RUN in told
     record = read_record(Path("out"))
     assert record.state == "failed"
     assert place in record.message
+    assert "cable" not in record.message
     assert record.de_energised is True
     assert "ZeroDivisionError" in record.message
     assert len(read_run(Path("out/recording.mcap")).samples["time"]) > 20
@@ -162,14 +163,9 @@ def _broken() -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "words"),
-    [
-        (_lacking, "machine.py: cannot be read"),
-        (_broken, "machine.py:1: SyntaxError"),
-    ],
+    [(_lacking, "machine.py: cannot be read"), (_broken, "machine.py:1: SyntaxError")],
 )
-def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(
-    spoil: Callable[[], None], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(spoil, words, capsys):
     bench(NOMINAL_CLASS)
     spoil()
     assert run() == 2
@@ -194,9 +190,7 @@ def test_a_file_that_cannot_be_used_is_bad_input_with_its_place(
         (NOMINAL_CLASS, {"motor": {"gear_ratio": 50}}, "mock.motor"),
     ],
 )
-def test_a_wrong_section_is_refused_with_its_place(
-    plant: Any, more: dict[str, Any], place: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_section_is_refused_with_its_place(plant, more, place, capsys):
     path = bench(plant, **more)
     assert status(["check", str(path)]) == 2
     problems = capsys.readouterr().err.splitlines()
@@ -209,9 +203,7 @@ def test_a_pressure_transmitter_has_nothing_to_measure(capsys: pytest.CaptureFix
     assert "no gas generator" in capsys.readouterr().err
 
 
-def test_a_mistake_in_the_own_machine_cannot_be_built_in(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mistake_in_the_own_machine_cannot_be_built_in(capsys):
     path = str(bench(NOMINAL_CLASS))
     assert status(["commission", path, "--yes", "--mistake", "ratio", "--out", "out"]) == 2
     assert "mock.plant" in capsys.readouterr().err
@@ -226,8 +218,6 @@ def test_what_the_drive_assumes_follows_from_the_bench() -> None:
     del tree["mock"]["plant"]
     Path("own.yaml").write_text(yaml.safe_dump(tree))
     mine, own = (load_bench(name).value.mock for name in ("mine.yaml", "own.yaml"))
-    assert mine is not None
-    assert own is not None
     assert (mine.motor, mine.loops, mine.sensing) == (own.motor, own.loops, own.sensing)
     assert mine.motor.gear_ratio == 80
     assert dict(mine.plant) == NOMINAL_CLASS

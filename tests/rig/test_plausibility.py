@@ -1,7 +1,5 @@
 """Machine constants that no bench has are refused, and those that few have are warned of."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -59,9 +57,7 @@ def test_both_sides_of_each_range(tmp_path: Path, key: str, end: str) -> None:
 @pytest.mark.parametrize(
     ("ratio", "expected"), [(0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False])]
 )
-def test_torque_constant_and_back_emf_belong_together(
-    tmp_path: Path, ratio: float, expected: list[bool]
-) -> None:
+def test_torque_constant_and_back_emf_belong_together(tmp_path, ratio, expected):
     path = variant(
         tmp_path,
         (
@@ -80,9 +76,7 @@ def test_torque_constant_and_back_emf_belong_together(
 @pytest.mark.parametrize(
     ("speed", "expected"), [(1199.0, []), (1201.0, [False]), (12001.0, [True])]
 )
-def test_a_speed_limit_is_judged_at_the_motor(
-    tmp_path: Path, speed: float, expected: list[bool]
-) -> None:
+def test_a_speed_limit_is_judged_at_the_motor(tmp_path, speed, expected):
     found = implausible(
         load_bench(variant(tmp_path, ("speed_deg_s: 120", f"speed_deg_s: {speed}")))
     )
@@ -90,18 +84,14 @@ def test_a_speed_limit_is_judged_at_the_motor(
 
 
 @pytest.mark.parametrize(("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True])])
-def test_rated_torque_goes_with_rated_current(
-    tmp_path: Path, torque: float, expected: list[bool]
-) -> None:
+def test_rated_torque_goes_with_rated_current(tmp_path, torque, expected):
     found = implausible(
         load_bench(variant(tmp_path, ("rated_torque_N_m: 0.45", f"rated_torque_N_m: {torque}")))
     )
     assert [finding.refused for finding in found] == expected
 
 
-def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
-    elsewhere: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(elsewhere, capsys):
     rest = "\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus"
     path = variant(elsewhere, (f"moment_arm_m: 0.095{rest}", f"moment_arm_m: 95{rest}"))
     for command, code in ((["run", "figure10", "--yes", "--bench"], 2), (["check"], 1)):

@@ -1,7 +1,5 @@
 """Predicted peaks of torque and current: against eq. 9 to 13, and the simulated bench."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a run refuses, `rig check` and `rig run --dry-run` report in the same words."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from collections.abc import Callable
@@ -28,7 +26,7 @@ from rig.runs.run_record import Ending
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.wiring.preflight import bench_findings, device_findings
 
-from .benches import stages, swing, variant
+from .benches import sine, stages, swing, variant
 
 SEQUENCE = stages(swing())
 TODAY = utc_now().date()
@@ -91,9 +89,7 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
     ],
     ids=["same node", "master is servo", "no EDS", "object missing"],
 )
-def test_a_bench_that_cannot_be_connected_to_is_bad_input(
-    tmp_path: Path, outcomes: Any, changes: list[tuple[str, str]], words: str
-) -> None:
+def test_a_bench_that_cannot_be_connected_to_is_bad_input(tmp_path, outcomes, changes, words):
     shutil.copy(ENCODER_EDS, "encoder.eds")
     Path("poor.eds").write_text(DRIVE_EDS.read_text().replace("[6061]", "[5061]"))
     bench = variant(tmp_path, *changes)
@@ -115,9 +111,7 @@ def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("node", "count"), [(2, 0), (0x10, 2)])
-def test_frames_of_a_drive_must_not_be_those_of_the_encoder(
-    tmp_path: Path, node: int, count: int
-) -> None:
+def test_frames_of_a_drive_must_not_be_those_of_the_encoder(tmp_path, node, count):
     bench = variant(
         tmp_path, ("encoder: {node: 2", f"encoder: {{node: {node}"), source="practical_dbc"
     )
@@ -301,16 +295,8 @@ def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFi
     assert "encoder.node: 1 is also the node identifier of the servo" in capsys.readouterr().err
 
 
-EMPTY = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 3}
-"""
-HEAVY = EMPTY + (
-    "  - {name: heavy, stage: loaded, weight_kg: 5, duration_s: 3,\n"
-    "     tones: [{amplitude_deg: 5, frequency_Hz: 2}]}\n"
-)
+EMPTY = stages(sine(duration_s=3))
+HEAVY = stages(sine(duration_s=3), sine("heavy", duration_s=3, weight_kg=5))
 REAL = ("interface: mock", "interface: virtual")
 
 
@@ -321,9 +307,7 @@ def planned(folder: Path, text: str) -> Plan:
 
 
 @pytest.mark.parametrize(("yes", "terminal"), [(True, True), (False, False)])
-def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(
-    tmp_path: Path, yes: bool, terminal: bool
-) -> None:
+def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(tmp_path, yes, terminal):
     bench = load_bench(variant(tmp_path, REAL))
     reason = "--yes would answer" if yes else "no terminal for the prompts"
     with pytest.raises(InputError, match=rf"{reason}.* stages heavy have weights.*without --yes"):
@@ -340,9 +324,7 @@ def test_who_can_be_asked_or_needs_no_asking_may_run(tmp_path: Path) -> None:
     require_attendance(heavy, load_bench(hoist), yes=True, terminal=False)
 
 
-def test_weights_and_yes_on_a_real_bench_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_weights_and_yes_on_a_real_bench_are_refused(tmp_path, capsys):
     planned(tmp_path, HEAVY)
     servo = ("\nservo: {", f"\nservo: {{eds: {DRIVE_EDS}, ")
     encoder = ("\nencoder: {", f"\nencoder: {{eds: {ENCODER_EDS}, ")

@@ -1,7 +1,5 @@
 """Prompts: what was typed before the question does not answer it."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal
@@ -99,9 +97,7 @@ def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
-def test_every_stop_signal_is_heard_at_the_prompt(
-    pipe: Pipe, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_every_stop_signal_is_heard_at_the_prompt(pipe, monkeypatch, name):
     number = getattr(signal, name)
 
     def waiting(reading: Any, writing: Any, odd: Any, wait_s: float) -> Any:

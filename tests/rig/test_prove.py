@@ -1,7 +1,5 @@
 """The proof's machinery, with made-up diagnoses: sealed before, opened after, scored."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,11 +13,18 @@ from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
-from rig.results.prove.run import FAMILIES
 from rig.results.prove.score import confusion, power, rate, row_of, score
-from rig.results.prove.truth import unseal
+from rig.results.prove.truth import seal_truth, unseal
 
-SEED = 3
+SEED, ENGINE = 3, Processes(1)
+CAMPAIGN = """campaign: 1
+bench: {motion: rotary, torque_constant: 0.1}
+recordings: [{file: a.csv, channels: {time: t, angle: q, current: i}}]
+"""
+
+
+def no_progress(what: str, share: float) -> None:
+    pass
 
 
 BESIDE = {"backlash": 9.0}
@@ -62,12 +67,8 @@ def truth(kind: str, **effects: dict[str, float]) -> dict[str, Any]:
 RECORDINGS = tuple("abcdefghijkm")
 
 
-def judged(
-    diagnosis: Mapping[str, Any], oracle: Mapping[str, Any] | None = None, **named: Sequence[str]
-) -> Judgement:
-    return Judgement(
-        diagnosis, {"greedy_bic": (), "sparse": (), **named}, lambda names: oracle, 1.0, 0.5
-    )
+def judged(diagnosis: Mapping[str, Any]) -> Judgement:
+    return Judgement(diagnosis, 1.0)
 
 
 def scored(
@@ -131,39 +132,10 @@ def test_a_confident_name_outside_the_catalogue_is_kept_account_of() -> None:
     assert rows[0]["top1"] is None
 
 
-def gain(oracle_rms: float, equation: str = "transmission") -> dict[str, Any]:
+def gain(source: Path, names: Sequence[str]) -> dict[str, Any]:
     """Return what the true structures gain on recordings that were set aside."""
-    rms = {"baseline_rms": 1.0, "oracle_rms": oracle_rms, "noise_rms": 0.1}
-    return {"equation": equation, **rms, "remaining_strength": BESIDE}
-
-
-def test_baselines_are_scored_by_the_same_rules() -> None:
-    both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
-    one, other = effect("backlash"), effect("cogging")
-    four, lost = ("cogging", "time_skew", "end_stop", "backlash"), "outside_catalogue"
-    cases: list[tuple[str, dict[str, Any], Any, tuple[str, ...], tuple[str, ...]]] = [
-        ("one", {"backlash": GAP}, diagnosed(one), ("backlash", "compliance"), ("compliance",)),
-        ("two", both, diagnosed(other, one), four, ("backlash", "cogging")),
-        ("nothing", {}, NOTHING, ("cogging",), ()),
-        ("outside", {"x_bursts": {}}, diagnosed(verdict=lost), (), ("cogging",)),
-    ]
-    rows = []
-    for kind, hidden, found, greedy, sparse in cases:
-        said = judged(found, greedy_bic=greedy, sparse=sparse)
-        rows.append(row_of(truth(kind, **hidden), {"current": 5.0}, said, None, "digest"))
-    methods = score(rows)["methods"]
-    hits = {m: {key: row["n"] for key, row in of.items()} for m, of in methods.items()}
-    right = {"top1": 1, "alias_group": 1, "top1_all": 1, "both_named": 1, "exact": 2}
-    right |= {"false_alarms": 0, "outside_named": 0}
-    missed = {"top1": 0, "alias_group": 0, "top1_all": 0, "exact": 1, "outside_named": 1}
-    assert hits == {
-        "diagnosis": right,
-        "greedy_bic": right | {"both_named": 0, "exact": 0, "false_alarms": 1},
-        "sparse": right | missed,
-    }
-    assert {row["of"] for of in methods.values() for key, row in of.items() if key != "exact"} == {
-        1
-    }
+    rms = {"baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1}
+    return {"equation": "transmission", **rms, "remaining_strength": BESIDE}
 
 
 def test_the_place_is_held_against_the_catalogue() -> None:
@@ -264,32 +236,34 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
     kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
     verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
     said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
-    return judged(said, gain(0.2))
+    return judged(said)
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have rigs of which nothing but a campaign file is simulated."""
 
-    def simulate(where: Any, assigned: Any, seed: Any) -> dict[str, float]:
-        where.campaign.parent.mkdir(parents=True)
-        where.campaign.write_text("campaign: 1\n")
-        return {"current": 4.0} if assigned[1] else {}
+    def seal(task: proving.Task, seed: int) -> proving.Made:
+        effects = {name: {} for name in task.assigned[1]}
+        with proving.making(task.number) as where:
+            where.campaign.parent.mkdir(parents=True)
+            where.campaign.write_text(CAMPAIGN)
+            strength = {"current": 4.0} if effects else {}
+            truth = {"effects": effects, "strength": strength}
+            return proving.made(seal_truth(where, where.name, truth, task.salt))
 
-    quickly = {name: family._replace(simulate=simulate) for name, family in FAMILIES.items()}
-    monkeypatch.setattr(proving, "FAMILIES", quickly)
+    monkeypatch.setattr(proving, "_seal", seal)
+    monkeypatch.setattr("rig.results.prove.judge.oracle_of", gain)
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_proof_from_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_proof_from_the_command_line(tmp_path, monkeypatch, capsys):
     opened: list[str] = []
     diagnosing: list[str] = []
 
     def judge(source: Path, seed: int) -> Judgement:
         diagnosing.append(capsys.readouterr().out)
-        assert len(opened) == len(diagnosing) - 1
+        assert not opened
         return clairvoyant(source, seed)
 
     monkeypatch.setattr(
@@ -304,15 +278,14 @@ def test_a_proof_from_the_command_line(
     seals = json.loads((out / "proof.json").read_text())["seals"]
     assert all(digest in diagnosing[0] for digest in seals.values()), "before any diagnosis"
     result = json.loads(result_file.read_text())
-    assert result["schema"] == "loadrig.prove/3"
+    assert result["schema"] == "loadrig.prove/4"
     assert sum(result["counts"].values()) == 3
     assert result["top1"]["n"] == result["top1"]["of"] > 0
     assert result["oracle_fraction"] == {"median": 1.0, "of": result["counts"]["one"]}
     assert {row["sha256"] for row in result["rigs"]} == set(seals.values())
-    assert not list(out.glob("rig-*"))
     assert "named first" in (out / "report.html").read_text()
 
-    (out / "rows" / "0002.json").unlink()
+    (out / "judgements" / "rig-0002.json").unlink()
     capsys.readouterr()
     diagnosing.clear()
     opened.clear()
@@ -324,12 +297,11 @@ def test_a_proof_from_the_command_line(
     assert "contains a proof with other settings" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     "content", ["", "[]", '{"settings": {}}', '{"settings": {}, "seals": {"x": 1}}', "\0"]
 )
-def test_a_damaged_proof_is_not_gone_on_with(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
-) -> None:
+def test_a_damaged_proof_is_not_gone_on_with(tmp_path, capsys, content):
     (tmp_path / "proof.json").write_text(content)
     assert status(["prove", "--rigs", "1", "--out", str(tmp_path)]) == 2
     assert str(tmp_path / "proof.json") in capsys.readouterr().err
@@ -337,9 +309,11 @@ def test_a_damaged_proof_is_not_gone_on_with(
 
 @pytest.mark.usefixtures("quick")
 def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) -> None:
-    proof = proving.begin(tmp_path, 3, SEED)
+    proving.seal_own(tmp_path / "trials", 3, SEED, ENGINE, no_progress)
+    proof = proving.begin_from(tmp_path, 3, SEED, tmp_path / "trials")
+    proving.diagnose_all(proof, clairvoyant, ENGINE, no_progress)
     path = proof.rigs[0].truth
-    path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
+    path.write_text(path.read_text().replace('"rig": "rig-0001"', '"rig": 9'))
     with pytest.raises(InputError, match="the truth was changed"):
-        proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)
+        proving.score_all(proof, gain, lambda path: {}, ENGINE, no_progress)
     assert not proof.file("rows", proof.rigs[0]).exists()

@@ -1,7 +1,5 @@
 """Campaigns sealed by someone else: plain files in, all diagnosed before any truth is opened."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -68,7 +66,7 @@ def judge(source: Path, seed: int) -> Judgement:
         raise InputError("a.csv: it does not move")
     if name == "bench_e":
         raise ZeroDivisionError("as a defect might")
-    return Judgement(SAID[name], {"sparse": ("cogging",)}, lambda names: None, 1.0, 0.5)
+    return Judgement(SAID[name], 1.0)
 
 
 def no_oracle(source: Path, names: Sequence[str]) -> None:
@@ -97,9 +95,7 @@ def theirs(tmp_path: Path) -> Path:
     return home
 
 
-def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
-    theirs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(theirs, tmp_path, monkeypatch):
     told: list[str] = []
 
     def heard(source: Path, seed: int) -> Judgement:
@@ -139,9 +135,7 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     assert told == ["bench_c"]
 
 
-def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(
-    theirs: Path, tmp_path: Path
-) -> None:
+def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(theirs, tmp_path):
     (theirs / "bench_d").rename(theirs / "bench_e")
     (theirs / "sealed" / "bench_d.yaml").rename(theirs / "sealed" / "bench_e.yaml")
     row = rows_of(diagnosed(theirs, tmp_path / "out"))[-1]
@@ -196,22 +190,17 @@ def test_changed_files_are_found_out(theirs: Path, tmp_path: Path) -> None:
         judging.begin_from(tmp_path / "out", 600, 1, theirs)
 
 
-def test_the_command_line_refuses_what_contradicts(
-    tmp_path: Path, theirs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_refuses_what_contradicts(tmp_path, theirs, capsys):
     (tmp_path / "empty").mkdir()
     for options, message in (
         (["--from", str(theirs), "--seal", str(tmp_path / "x")], "give only one of these options"),
-        (["--from", str(theirs), "--gas"], "--gas cannot be combined"),
         (["--from", str(tmp_path / "empty"), "--out", str(tmp_path / "o")], "docs/guides/worlds"),
     ):
         assert status(["prove", *options]) == 2
         assert message in capsys.readouterr().err
 
 
-def test_own_trials_are_sealed_as_others_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_own_trials_are_sealed_as_others_are(tmp_path, capsys, monkeypatch):
     """Short recordings, as only the files are looked at."""
     from rig.results.prove import run
 

@@ -1,8 +1,5 @@
 """Blind rigs, of friction and of gas: what is drawn, and that nothing written tells it."""
 
-from __future__ import annotations
-
-import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -10,33 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
-from identification.effects import EFFECTS
-from rig.cli.entry import status
-from rig.results.prove import gas_simulate
 from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
-from rig.results.prove.gas_simulate import (
-    GAS_OUTSIDE_SIZES,
-    GAS_SIZES,
-    GasExperiment,
-    draw_gas,
-    gas_experiments,
-)
-from rig.results.prove.judge import Judgement
 from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
+    Recorded,
     as_recorded,
     campaign,
-    floors,
+    floors_of,
     left_over,
     reference_of,
     strength,
     write,
 )
-from rig.results.prove.truth import unseal
 from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
@@ -150,14 +135,18 @@ def test_a_gravity_bench_says_what_turns_with_the_joint(tmp_path: Path) -> None:
 
 
 @pytest.mark.proof
-def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
+def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays(tmp_path: Path) -> None:
     """Both change the current; but the gear's loss is a bench with other constants."""
+
+    def floor_of(recorded: list[Recorded]) -> dict[str, float]:
+        return floors_of(write(tmp_path, rig.machine, recorded, packed=False))
+
     rig, plan = short(draw("one", ("asymmetric_coulomb",), (3, 1)), 8000)
-    floor = floors(rig.machine, reference_of(rig, plan))
+    floor = floor_of(reference_of(rig, plan))
 
     def shown(hides: dict[str, dict[str, float]]) -> tuple[float, float]:
         hiding = campaign(rig._replace(machine=replace(rig.machine, effects=hides)), plan)
-        left = left_over(floors(rig.machine, hiding), floor)
+        left = left_over(floor_of(hiding), floor)
         return strength(hiding, reference_of(rig, plan))["current"], left["torque"]
 
     asymmetry = shown({"asymmetric_coulomb": {"torque_Nm": 1.0}})
@@ -167,75 +156,7 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     assert loss[1] < 1.5
     by_name = {e.name: e for e in experiments()}
     plan[1] = by_name["m"]._replace(command=by_name["m"].command[:8000])
-    floor = floors(rig.machine, reference_of(rig, plan))
+    floor = floor_of(reference_of(rig, plan))
     assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, (
         "a weight that drives the motor back"
     )
-
-
-ONE = ("one", ("leakage",))
-SEED = (5, 1)
-
-
-def test_every_gas_effect_can_be_drawn_hidden_and_named() -> None:
-    named = [e.name for e in EFFECTS.values() if e.group == "gas generator"]
-    assert list(GAS_SIZES) == list(GAS_CATALOGUE) == named
-    assert GAS_OUTSIDE_SIZES.keys() == GAS_OUTSIDE.keys()
-
-
-@pytest.mark.parametrize("name", [*GAS_SIZES, *GAS_OUTSIDE_SIZES])
-def test_draws_are_within_what_the_plant_can_hide(name: str) -> None:
-    machines = [draw_gas("one", (name,), (seed, 1)).machine for seed in range(20)]
-    assert not [text for machine in machines for text in problems(machine.effects)]
-    noises = [m.gas.transmitter.noise_Pa / m.gas.transmitter.range_Pa for m in machines]
-    assert 0.001 <= min(noises) < max(noises) <= 0.0025
-    assert len({m.gas.burning_rate_mm_s for m in machines}) == 20
-
-
-@pytest.fixture
-def short_burns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have burns of 3 s."""
-    plan = tuple(GasExperiment(e.name, e.role, e.command[:3000]) for e in gas_experiments())
-    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
-
-
-@pytest.mark.usefixtures("short_burns")
-def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
-    sealed = gas_simulate.seal_gas(tmp_path, 1, ONE, SEED)
-    strengths = gas_simulate.simulate_gas(sealed, ONE, SEED)
-    assert strengths["pressure"] > 0.1
-    truth = unseal(sealed.truth, sealed.digest)
-    assert truth.effects == draw_gas(*ONE, SEED).machine.effects
-    dataset = load_source(sealed.campaign)
-    assert all(
-        r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings
-    )
-    text = sealed.campaign.read_text()
-    assert not [
-        word
-        for word in ("leakage", *map(str, truth.record(1)["parameters"].values()))
-        if word in text
-    ]
-    other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
-    assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}
-    assert other.campaign.read_text() == text
-
-
-def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def blind(source: Path, seed: int) -> Judgement:
-        shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
-        fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
-        record = {"verdict": "nothing_missing", "effects": [], "location": None, "p_value": 1.0}
-        record |= {"fit": fit, "fits": [fit], "parameter_shift": shift}
-        return Judgement(record, {}, lambda _names: None, 0.0, 0.0)
-
-    plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
-    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
-    monkeypatch.setattr("rig.results.prove.judge.judge", blind)
-    out = tmp_path / "proof"
-    assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
-    result = json.loads((out / "prove.json").read_text())
-    assert result["false_alarms"]["n"] == 0
-    assert result["counts"] == {"one": 2, "two": 0, "nothing": 2, "outside": 0, "unscored": 0}
-    assert all(set(row["nominal"]) == {"n"} for row in result["rigs"])
-    assert status(["prove", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 2

@@ -1,7 +1,5 @@
 """Live readings of `rig check`: what is shown, and which end a run as soon as it begins."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -63,7 +61,6 @@ def test_both_ends_of_the_angle(end: str) -> None:
 
 def test_both_sides_of_the_pressure() -> None:
     gas = HOT.gas
-    assert gas is not None
     anywhere = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=math.inf))
     for share, count in ((1.0, 0), (1.001, 1)):
         readings = dataclasses.replace(CALM, pressure_Pa=share * gas.pressure)
@@ -73,7 +70,6 @@ def test_both_sides_of_the_pressure() -> None:
 @pytest.mark.parametrize("angle", [-0.1, 0.1, math.nan])
 def test_both_sides_of_the_force_that_the_pressure_makes_where_the_valve_is(angle: float) -> None:
     gas = HOT.gas
-    assert gas is not None
     force = 2e6 * gas.area(0.0 if math.isnan(angle) else angle)
     readings = dataclasses.replace(
         CALM,
@@ -106,9 +102,7 @@ def moved(*arguments: Any) -> SimulatedBench:
     return bench
 
 
-def test_check_shows_what_the_bench_shows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_shows_what_the_bench_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(rig.wiring.connect, "simulated_bench", moved)
     path = variant(tmp_path, ("supply_V: 60", "supply_V: 40"))
     assert status(["check", str(path), "--json", str(tmp_path / "c.json")]) == 1

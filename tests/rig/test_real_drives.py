@@ -1,7 +1,5 @@
 """Benches whose drive has only the objects of a maker's EDS file, from check to a finished run."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -10,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from drivers.mock.makes import LACKS, description
 from drivers.units import ServoScales
 from rig.cli.entry import status
 from rig.common.errors import InputError
@@ -23,6 +20,7 @@ from rig.runs.mcap.reader import read_run
 from rig.wiring.connect import connect, servo_data
 from rig.wiring.devices import watcher, watcher_of
 from rig.wiring.scales import servo_scales
+from tests.drivers.makes import LACKS, description
 
 from .benches import stages, swing
 
@@ -61,9 +59,7 @@ def bench(make: str, keys: str = "", packaged: str = "practical", eds: str = "")
         ),
     ],
 )
-def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(
-    here: Path, make: str, packaged: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(here, make, packaged, capsys):
     name = bench(make, packaged=packaged)
     assert status(["check", name]) == 0
     shown = capsys.readouterr().out
@@ -89,9 +85,7 @@ def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(
     assert all(math.isfinite(value) for value in samples["current"])
 
 
-def test_the_limits_are_those_of_a_drive_without_watchdog_unless_the_bench_says_more(
-    here: Path,
-) -> None:
+def test_the_limits_are_those_of_a_drive_without_watchdog_unless_the_bench_says_more(here):
     cut = load_bench(bench("Trinamic")).value
     assert (cut.watched, cut.limits.torque_N_m) == (False, pytest.approx(0.6 * 75))
     assert watcher_of(cut).kind == "nobody"
@@ -156,9 +150,7 @@ def test_a_drive_without_a_heartbeat_consumer_is_guarded_or_has_reduced_limits(
 
 
 @pytest.mark.parametrize("address", [(0x60C2, 1), (0x1016, 1)])
-def test_an_object_that_only_the_eds_has_is_a_problem_of_the_check(
-    here: Path, address: tuple[int, int]
-) -> None:
+def test_an_object_that_only_the_eds_has_is_a_problem_of_the_check(here, address):
     document = load_bench(bench("Elmo"))
 
     def attach(made: Any) -> Any:

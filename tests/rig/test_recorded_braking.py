@@ -1,7 +1,5 @@
 """The recording contains the ramp of the drive also after another device was lost."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The recording: exact round trip, read by the MCAP library, robust to being cut off anywhere."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal
@@ -169,7 +167,6 @@ def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
     assert 0 < len(lost) < 2000 / len(starts) + 50
     assert np.ptp(lost) == pytest.approx(0.001 * (len(lost) - 1))
     assert log.events == whole.events
-    assert log.damage is not None
     assert f"whole up to byte {begin} of {len(damaged)}" in log.damage
     assert f"lost between {lost[0] - 0.001:.3f} and {lost[-1] + 0.001:.3f} s" in log.damage
     assert log.damage.endswith(f"{len(times)} samples recovered")
@@ -179,9 +176,7 @@ def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
     max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(share=st.floats(0, 1), value=st.integers(1, 255))
-def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
-    long: Path, tmp_path: Path, share: float, value: int
-) -> None:
+def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(long, tmp_path, share, value):
     """Wherever it is: in a chunk, its length, its opcode, a record without checksum, the index."""
     damaged = bytearray(long.read_bytes())
     end = chunks(damaged)[-1][1]

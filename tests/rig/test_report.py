@@ -2,8 +2,6 @@
 any reader takes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -87,17 +85,6 @@ def test_a_report_is_one_page_and_its_figures_are_files_too(folder: Path) -> Non
     assert "<h1>Identification of bench &amp; test</h1>" in page
     for words in ("not identifiable", "validate", "genetic algorithm", ">true<", "seed"):
         assert words in page
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_many_recordings_are_cut_short_and_there_is_no_truth_unless_known(tmp_path: Path) -> None:
-    many = Dataset(tuple(recording(f"r{k}") for k in range(8)))
-    result = identify_paper(
-        many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
-    )
-    page = written(tmp_path, many, result)
-    assert "2 more recordings" in page
-    assert ">true<" not in page
 
 
 def result() -> Identification:

@@ -1,7 +1,5 @@
 """A fault that the drive is in before a run: cleared only where that was asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,11 +1,10 @@
 """How sure a result is, and the tables of parameters."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from identification.result import (
     Fit,
@@ -17,9 +16,11 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.common.tables import interval, number, percent, table
+from rig.common.tables import interval, number, percent
 from rig.results.identify.document import (
     bootstrap_table,
+    determined_notes,
+    note,
     parameter_table,
     profile_table,
     uncertainty_tables,
@@ -68,6 +69,20 @@ def test_draws_stand_beside_intervals() -> None:
     assert len(uncertainty_tables(RESULT)) == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "half", "determined"), [("Mc", 3.4, True), ("Mc", 3.6, False), ("offset", 99.0, True)]
+)
+def test_the_interval_as_printed_decides_what_is_determined(
+    name: str, half: float, determined: bool
+) -> None:
+    wide = Parameter(name, "N m", 7.0, 7.0 - half, 7.0 + half)
+    assert wide.determined is determined
+    assert bool(note(wide)) is not determined
+    parameters = {"J": Parameter("J", "kg m^2", 1.0, 0.9, 1.1), name: wide}
+    (line,) = determined_notes([replace(RESULT, parameters=parameters)])
+    assert f"{1 + determined} of 2 parameters" in line
+
+
 def test_the_record_is_json_without_infinities() -> None:
     record = json.loads(json.dumps(RESULT.to_dict(), allow_nan=False))
     assert record["bounds_hit"] == ["J"]
@@ -82,21 +97,6 @@ def test_the_record_is_json_without_infinities() -> None:
         "draws": 100,
         "solved": 3,
     }
-
-
-CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
-
-
-@given(st.lists(st.tuples(CELL, CELL, CELL), max_size=6))
-def test_columns_line_up(rows: list[tuple[str, str, str]]) -> None:
-    lines = table(("name", "value", "unit"), rows, right=[1]).split("\n")
-    assert len(lines) == 2 + len(rows)
-    name_width, value_width, _ = (len(rule) for rule in lines[1].split("  "))
-    for line, row in zip(lines[2:], rows, strict=True):
-        assert line[:name_width].rstrip() == row[0]
-        assert line[name_width + 2 : name_width + 2 + value_width].lstrip() == row[1]
-        assert line[name_width + value_width + 4 :] == row[2]
-        assert not line.endswith(" ")
 
 
 @pytest.mark.parametrize(

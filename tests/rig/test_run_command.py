@@ -1,7 +1,5 @@
 """``rig run``, ``check``, ``export`` and ``recover`` as a user runs them, on the simulated bus."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -50,9 +48,7 @@ def run(*arguments: str) -> int:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_with_an_example(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_has_help_with_an_example(name, capsys):
     assert status([name, "--help"]) == 0
     text = capsys.readouterr().out
     assert f"rig {name}" in text.split("Example", 1)[1]
@@ -113,9 +109,7 @@ def test_equal_seeds_give_equal_bytes(short_sequence: Path) -> None:
     assert messages[0]["/sample"] != messages[2]["/sample"]
 
 
-def test_dry_run_prints_the_plan_and_touches_nothing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_dry_run_prints_the_plan_and_touches_nothing(capsys, tmp_path):
     assert run("figure10", "--dry-run") == 0
     lines = capsys.readouterr().out.splitlines()
     row = next(line for line in lines if line.startswith("case-2")).split()
@@ -124,9 +118,7 @@ def test_dry_run_prints_the_plan_and_touches_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_bus_that_dies_is_a_device_failure(
-    short_sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bus_that_dies_is_a_device_failure(short_sequence, monkeypatch, capsys):
     collect, count = SimulatedBus.collect, iter(range(10**9))
 
     def dying(self: SimulatedBus, timeout_s: float) -> Sequence[RawFrame]:
@@ -212,9 +204,7 @@ def holed(finished: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
-    holed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(holed, capsys):
     assert status(["export", str(holed), "--out", "x.csv"]) == 2
     assert "rig recover" in capsys.readouterr().err
     assert status(["recover", str(holed)]) == 0
@@ -246,9 +236,7 @@ def test_the_bus_libraries_speak_when_asked(tmp_path: Path) -> None:
     assert len(spoken) > 1
 
 
-def test_a_real_bus_where_nobody_answers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_real_bus_where_nobody_answers(tmp_path, monkeypatch, capsys):
     path = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     text = text.replace("interface: mock", "interface: virtual, channel: nobody")

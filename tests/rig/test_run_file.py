@@ -1,7 +1,5 @@
 """``run.json`` as people edit it and older programs wrote it, and the inputs that it names."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -53,9 +51,7 @@ EDITS = [
 
 
 @pytest.mark.parametrize(("place", "value", "words"), EDITS)
-def test_an_edit_that_cannot_be_is_named_with_its_place(
-    run: Path, place: str, value: object, words: str
-) -> None:
+def test_an_edit_that_cannot_be_is_named_with_its_place(run, place, value, words):
     raw = json.loads((run / "run.json").read_text())
     *above, last = place.split(".")
     inside = raw
@@ -70,9 +66,7 @@ def test_an_edit_that_cannot_be_is_named_with_its_place(
     assert all(problem.startswith(f"{run / 'run.json'}:") for problem in caught.value.problems)
 
 
-def test_every_error_is_told_with_line_and_column(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_error_is_told_with_line_and_column(run, capsys):
     edit(run, lambda r: (r.update(seed="0"), r["stages"][0].update(repeats=1.5)))
     with pytest.raises(InputError) as caught:
         read_record(run)
@@ -90,9 +84,7 @@ def test_every_error_is_told_with_line_and_column(
     max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_whatever_is_put_anywhere_it_is_read_or_refused(
-    run: Path, finished_run: Path, data: st.DataObject
-) -> None:
+def test_whatever_is_put_anywhere_it_is_read_or_refused(run, finished_run, data):
     raw = json.loads((finished_run / "run.json").read_text())
     place = raw
     while True:
@@ -144,9 +136,7 @@ def test_a_run_of_the_first_program_is_still_read(run: Path) -> None:
     assert status(["recover", str(run)]) == 0
 
 
-def test_recovery_rebuilds_what_was_edited_to_death_from_the_latest_recording(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_recovery_rebuilds_what_was_edited_to_death_from_the_latest_recording(run, capsys):
     def stopped(raw: Any) -> None:
         raw["stages"][1]["state"] = "running"
 
@@ -200,9 +190,7 @@ def stopped(short_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     return place / "runs" / "first"
 
 
-def test_a_run_of_an_older_program_does_too(
-    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_an_older_program_does_too(stopped, tmp_path, monkeypatch):
     file = stopped / "run.json"
     record = json.loads(file.read_text(encoding="utf-8"))
     record["inputs"]["bench.yaml"]["file"] = "files/own.yaml"

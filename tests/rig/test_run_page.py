@@ -2,8 +2,6 @@
 like.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -12,7 +10,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -49,24 +46,20 @@ from rig.results.run.charts import (
 )
 from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE, NOT_READ_BACK
 from rig.results.run.recorded import (
-    BRAKING,
     COLUMNS,
     MOVING,
     NAMES,
     STATES,
     Derived,
     Deriver,
-    Moment,
     Recorded,
     Series,
-    Span,
     Traces,
     Tripped,
     _gathered,
     limit_steps,
     read_attachments,
     spans,
-    with_braking,
 )
 from rig.results.run.report import REPORT_FILE, inlined_script, write_run_report, write_verdict
 from rig.runs.mcap.reader import Block, Happening
@@ -74,6 +67,7 @@ from rig.runs.run import RunFolder
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, RunRecord, SegmentRecord
 
+from .benches import sine, stages
 from .conftest import run_in
 
 OPENING = 3
@@ -150,15 +144,12 @@ def tight(runner: Any, short_sequence: Path) -> Any:
 
 
 @pytest.mark.parametrize("what", TRIPS)
-def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
-    what: str, tight: Any, fake_bench: Any
-) -> None:
+def test_a_trip_is_shown_first_with_its_limit_and_its_moment(what, tight, fake_bench):
     act, check, title = TRIPS[what]
     bench = fake_bench()
     bench.faults["exchange", INSIDE] = lambda: act(bench)
     folder, _ = tight(bench)
     trip = folder.record.trip
-    assert trip is not None
     assert trip["check"] == check.value
     html = page_of(folder)
     last = last_part(html)
@@ -171,7 +162,6 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
     # The value drawn at the moment of the trip is the one that was judged, and the limit is the one
     # it was judged by.
     tail = Recorded(folder.path, folder.record, 1).traces.tail
-    assert tail is not None
     at = int(np.argmin(np.abs(tail.time - trip["time"])))
     value = abs(float(tail.values[at, NAMES.index(next(iter(panel.channels)))]))
     if check is not Check.DRIVE_STATE:
@@ -258,9 +248,7 @@ def test_a_page_opens_with_the_result_and_holds_all_it_needs(done: RunFolder) ->
         ({"simulated": False}, "host time", True),
     ],
 )
-def test_lateness_is_shown_where_there_is_any(
-    fields: dict[str, bool], clock: str, drawn: bool, done: RunFolder
-) -> None:
+def test_lateness_is_shown_where_there_is_any(fields, clock, drawn, done):
     html = write_run_report(done.path, dataclasses.replace(done.record, **fields)).read_text()
     assert (LATENESS in titles(html)) is drawn
     # Without pacing, there is no table of a lateness that is always zero.
@@ -269,9 +257,7 @@ def test_lateness_is_shown_where_there_is_any(
     assert ("REAL BENCH" in html) is drawn
 
 
-def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
-    short_sequence: Path, tmp_path: Path
-) -> None:
+def test_a_run_waits_for_no_library_of_plots_tables_and_filters(short_sequence, tmp_path):
     code = (
         # python-can itself loads asammdf if it is installed.
         "import sys; sys.modules['asammdf'] = None\n"
@@ -289,9 +275,7 @@ def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
         assert f"'{heavy}'" not in done.stdout
 
 
-def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(runner, fake_bench):
     bench = fake_bench()
 
     def stop() -> None:
@@ -301,8 +285,6 @@ def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
     folder, _ = runner(bench)
     found = Recorded(folder.path, folder.record, 1)
     tail, moment = found.traces.tail, found.moment
-    assert moment is not None
-    assert tail is not None
     assert moment.words == "stopped"
     assert moment.time == tail.time[tail.segment == 1][-1]
     assert titles(last_part(page_of(folder)))[0] == "joint angle"
@@ -321,9 +303,7 @@ class GivesUp(AutomaticOperator):
         return weight_kg
 
 
-def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(
-    runner: Any, fake_bench: Any
-) -> None:
+def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(runner, fake_bench):
     folder, _ = runner(fake_bench(), operator=GivesUp(1.0))
     assert data_of(page_of(folder), OPENING)["frame"]["mark"][1].startswith("last under power ")
 
@@ -336,9 +316,7 @@ def test_a_run_that_never_moved_says_so(runner: Any, fake_bench: Any) -> None:
     assert f"rig resume {folder.path}" in html
 
 
-def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
-    runner: Any, fake_bench: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(runner, fake_bench, capsys):
     folder, _ = runner(fake_bench())
     content = folder.recording.read_bytes()
     folder.recording.write_bytes(content[: len(content) // 2])
@@ -377,13 +355,7 @@ def test_each_recording_of_a_run_that_went_on_is_shown(runner: Any, fake_bench: 
     assert marks[1][1].startswith("tripped 0.")
 
 
-BRIEF = """\
-sequence: 1
-name: short
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.3,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.01}
-"""
+BRIEF = stages(sine("a", duration_s=0.3, more=", ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.01"))
 
 
 @pytest.fixture(scope="module")
@@ -413,9 +385,7 @@ def broken(whole: tuple[Path, RunRecord], folder: Path, content: bytes | None) -
 
 
 @pytest.mark.parametrize("content", [None, b"hello"])
-def test_without_a_recording_the_rest_of_the_page_is_there(
-    whole: tuple[Path, RunRecord], tmp_path: Path, content: bytes | None
-) -> None:
+def test_without_a_recording_the_rest_of_the_page_is_there(whole, tmp_path, content):
     html = broken(whole, tmp_path / "run", content)
     assert ("cannot be read" if content is None else "not an MCAP recording") in last_part(html)
     assert "encoder against drive" in html
@@ -423,20 +393,9 @@ def test_without_a_recording_the_rest_of_the_page_is_there(
     assert html.rstrip().endswith("</body></html>")
 
 
-def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(
-    whole: tuple[Path, RunRecord], tmp_path: Path
-) -> None:
-    content = (whole[0] / "recording.mcap").read_bytes()
-    html = broken(whole, tmp_path / "run", content[: int(0.6 * len(content))])
-    assert "The recording is damaged: whole up to byte" in html
-    assert titles(html)
-
-
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_whatever_the_recording_is_like_there_is_a_page(
-    whole: tuple[Path, RunRecord], tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_whatever_the_recording_is_like_there_is_a_page(whole, tmp_path_factory, data):
     content = bytearray((whole[0] / "recording.mcap").read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(content) - 1))
@@ -447,9 +406,7 @@ def test_whatever_the_recording_is_like_there_is_a_page(
     assert html.rstrip().endswith("</body></html>")
 
 
-def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(
-    whole: tuple[Path, RunRecord], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(whole, monkeypatch, tmp_path):
     monkeypatch.setattr(recorded, "read_attachments", lambda attachments: read_attachments({}))
     html = broken(whole, tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
     assert "The limits are not known (bench.yaml is not attached to the recording)" in html
@@ -462,9 +419,7 @@ def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(
 
 
 @pytest.mark.parametrize("name", ["last_seconds", "whole", "read_attachments", "read_traces"])
-def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
-    whole: tuple[Path, RunRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_failure_in_drawing_leaves_the_rest_of_the_page(whole, tmp_path, monkeypatch, name):
     def fails(*arguments: Any) -> None:
         raise ZeroDivisionError("a defect of this page")
 
@@ -476,9 +431,7 @@ def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
     assert "<h2>Provenance</h2>" in html
 
 
-def test_the_limits_over_time_are_those_that_were_judged_by(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limits_over_time_are_those_that_were_judged_by(runner, fake_bench, monkeypatch):
     """Every change of limits, first passes and the ways to them included, worked out from what is
     attached.
     """
@@ -511,7 +464,6 @@ def attached_limits(bench: str, *warnings: str) -> Limits:
     run = json.dumps({"warnings": warnings}).encode()
     content = load_bench(bench).path.read_bytes()
     found = read_attachments({"bench.yaml": content, "run.json": run}).bench
-    assert found is not None
     return found.limits
 
 
@@ -633,25 +585,9 @@ def test_phases_follow_from_events_and_excitations() -> None:
     ]
 
 
-def test_what_comes_after_the_end_is_braking() -> None:
-    whole = [Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")]
-    cut = with_braking(whole, Moment(1.5, "tripped"))
-    assert [(s.start, s.stop, s.phase) for s in cut] == [
-        (0.0, 1.0, "excite"),
-        (1.0, 1.5, "hold"),
-        (1.5, 2.0, BRAKING),
-    ]
-
-
 @settings(max_examples=25)
-@given(
-    count=st.integers(2, 9000),
-    pause=st.sampled_from([0, 100_000]),
-    seed=st.integers(0, 9),
-)
-def test_a_recording_is_reduced_without_the_loss_of_an_extreme(
-    count: int, pause: int, seed: int
-) -> None:
+@given(count=st.integers(2, 9000), pause=st.sampled_from([0, 100_000]), seed=st.integers(0, 9))
+def test_a_recording_is_reduced_without_the_loss_of_an_extreme(count, pause, seed):
     cycles, half = np.arange(count), count // 2
     cycles[half:] += pause
     current = np.random.default_rng(seed).normal(size=count)
@@ -662,7 +598,6 @@ def test_a_recording_is_reduced_without_the_loss_of_an_extreme(
     )
     start = Happening({"event": "stage start", "time": float(whole["time"][half])})
     traces = _gathered([first, start, second], BENCH, 1e-3)
-    assert traces.reduced is not None
     assert traces.reduced.extremes("current") == (current.min(), current.max())
     assert len(traces.reduced.time) <= 2 * COLUMNS + 3
     assert (np.diff(traces.reduced.time) >= 0.0).all()
@@ -720,39 +655,10 @@ def test_a_limit_is_written_with_what_is_beyond_it_and_drawn_if_it_is_near() -> 
 
 def test_the_limit_of_a_trip_is_drawn_where_no_other_is_known() -> None:
     made = chart(CURRENT, current(0.0, -12.0), [], Tripped(Check.CURRENT, 12.0, 11.0), tall=True)
-    assert made is not None
     assert sorted(limit[0][1] for limit in made.limits) == [-11.0, 11.0]
     assert made.beyond
     pressure = next(panel for panel in PANELS if Check.PRESSURE in panel.checks)
     assert chart(pressure, current(1.0), [], None, tall=False) is None
-
-
-def test_long_pauses_are_drawn_short_and_short_ones_to_scale() -> None:
-    axis = TimeAxis([(0.0, 10.0), (300.0, 310.0), (310.1, 320.0)])
-    assert axis.pauses == [(10.0, 300.0)]
-    assert axis.at(0.0) == 0.0
-    assert axis.at(320.0) == pytest.approx(1.0)
-    assert axis.at(300.0) - axis.at(10.0) == pytest.approx(0.02)
-    assert axis.at(310.0) - axis.at(300.0) == pytest.approx(axis.at(10.0) - axis.at(0.0))
-
-
-@given(
-    first=st.floats(0.0, 1e5),
-    lengths=st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=6),
-    pause=st.floats(0.0, 1e4),
-)
-def test_labels_of_the_time_axis_leave_room_for_one_another(
-    first: float, lengths: list[float], pause: float
-) -> None:
-    powered, at = [], first
-    for length in lengths:
-        powered.append((at, at + length))
-        at += length + pause
-    ticks = list(TimeAxis(powered).ticks())
-    assert len(ticks) <= 9
-    places = [place for place, _ in ticks]
-    assert all(0.0 <= place <= 1.0 + 1e-9 for place in places)
-    assert all(after - before >= 0.12 for before, after in pairwise(places))
 
 
 def plots_data(plots: Plots) -> Any:

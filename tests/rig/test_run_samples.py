@@ -1,7 +1,5 @@
 """The samples of a run in a stream, drift and gaps, and what a run says of its punctuality."""
 
-from __future__ import annotations
-
 import tracemalloc
 from pathlib import Path
 
@@ -68,9 +66,7 @@ def test_segments_are_cut_out(recording: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "pressure" not in streamed[1]
 
 
-def test_a_very_long_run_leaves_out_what_identification_does_without(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_very_long_run_leaves_out_what_identification_does_without(recording, monkeypatch):
     monkeypatch.setattr(run, "MOST_SAMPLES", 2000)
     streamed, _ = run.by_segment(recording, [segment(1, 1000), segment(2, 1500)], whole=True)
     assert not set(run.LEFT_OUT) & streamed[1].keys()
@@ -106,9 +102,7 @@ def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said:
     assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
 
 
-def test_a_stream_holds_little_beside_what_it_returns(
-    recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stream_holds_little_beside_what_it_returns(recording, monkeypatch):
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 20_000)
     wanted = [segment(1, 1000), segment(2, 1500)]
     peaks = {}

@@ -1,7 +1,5 @@
 """A joint that runs away is cut, not braked: true peak and travel of the simulated machine."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +10,7 @@ from drivers.mock.plant.machine import LOOPS, Loop
 from rig.cli.entry import status
 from rig.wiring.runaway import REACTION, SIGNS, Runaway, Seen
 
-from .benches import variant
+from .benches import sine, stages, variant
 from .true_motion import watch_machines
 
 MOST = {
@@ -28,13 +26,7 @@ and bench, with a loop of the wrong sign. At full current the speed grows by 21 
 millisecond; the serial bench has a cycle of 10 ms. The travel includes the coasting without power:
 from 66 deg/s, friction of 6.8 N m stops an inertia of 0.2 kg m^2 within 1.1 deg.
 """
-SEQUENCE = """\
-sequence: 1
-name: probe
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 10, frequency_Hz: 1}], duration_s: 2,
-     settle_s: 0.05}
-"""
+SEQUENCE = stages(sine("empty", 10, 1, 2, more=", settle_s: 0.05"))
 
 
 def moved(command: str, bench: str, folder: Path) -> int:
@@ -47,14 +39,7 @@ def moved(command: str, bench: str, folder: Path) -> int:
 
 @pytest.mark.parametrize(("command", "bench"), MOST)
 @pytest.mark.parametrize("loop", LOOPS)
-def test_a_motion_that_runs_away_is_cut(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    loop: Loop,
-    command: str,
-    bench: str,
-) -> None:
+def test_a_motion_that_runs_away_is_cut(tmp_path, monkeypatch, capsys, loop, command, bench):
     found = watch_machines(monkeypatch, loop)
     assert moved(command, bench, tmp_path) == 1
     peak_deg_s, travel_deg = MOST[command, bench]
@@ -66,9 +51,7 @@ def test_a_motion_that_runs_away_is_cut(
 
 
 @pytest.mark.parametrize("loop", [*LOOPS, None])
-def test_a_slow_motion_against_the_command_names_the_sign(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop | None
-) -> None:
+def test_a_slow_motion_against_the_command_names_the_sign(tmp_path, monkeypatch, loop):
     """A long cycle hides that the speed grows."""
     watch_machines(monkeypatch, loop)
     changes = (("cycle_Hz: 1000", "cycle_Hz: 100"), ("sample_age_ms: 5", "sample_age_ms: 50"))
@@ -102,9 +85,7 @@ def test_a_fault_of_the_drive_in_a_motion_against_the_command_names_the_sign(
 @pytest.mark.parametrize(
     ("command", "bench"), [("jog", "practical_serial"), ("run", "practical_dbc")]
 )
-def test_loops_of_the_right_sign_are_not_cut(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, bench: str
-) -> None:
+def test_loops_of_the_right_sign_are_not_cut(tmp_path, monkeypatch, command, bench):
     found = watch_machines(monkeypatch)
     assert moved(command, bench, tmp_path) == 0
     assert found.travel_deg > 4.0

@@ -1,7 +1,5 @@
 """Both sides of every limit, and a latch that only a good sample and a reset can close."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -64,7 +62,6 @@ def test_what_a_drive_does_not_report_is_not_checked_and_all_else_is() -> None:
     open_ended = dataclasses.replace(LIMITS, supply_max=math.inf)
     for supply in (47.9, math.nan):
         trip = check(sample(supply_voltage=supply), 0.0, 0.0, open_ended)
-        assert trip is not None
         assert trip.check is Check.SUPPLY
 
 
@@ -97,12 +94,9 @@ def test_a_good_sample_passes() -> None:
         (Check.DRIVE_STATE, {"statusword": 0x0027}, {"statusword": 0x0007}, 0x27),
     ],
 )
-def test_both_sides_of_a_limit(
-    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
-) -> None:
+def test_both_sides_of_a_limit(kind, inside, outside, limit):
     assert check(sample(**inside), 0.0, 0.0, LIMITS) is None
     trip = check(sample(**outside), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
 
 
@@ -110,7 +104,6 @@ def test_current_limit_below_the_torque_limit() -> None:
     limits = dataclasses.replace(LIMITS, current=10.0)
     assert check(sample(current=10.0), 0.0, 0.0, limits) is None
     trip = check(sample(current=-above(10.0)), 0.0, 0.0, limits)
-    assert trip is not None
     assert (trip.check, trip.limit) == (Check.CURRENT, 10.0)
 
 
@@ -139,7 +132,6 @@ def test_time_under_power() -> None:
     assert check_stage_time(30.0, 30.0, 7.0) is None
     trip = check_stage_time(above(30.0), 30.0, 7.0)
     assert trip == Trip(Check.STAGE_TIME, above(30.0), 30.0, "s", 7.0)
-    assert trip is not None
     assert (
         "time under power in this stage 30 s is beyond its limit 30 s at 7.000 s; " in trip.message
     )
@@ -162,9 +154,7 @@ def test_time_under_power() -> None:
         ({"supply_voltage": 12.0}, 0.0, 0.0, (Check.SUPPLY, 12.0, 48.0, "V")),
     ],
 )
-def test_a_trip_says_what_it_saw(
-    changes: dict[str, float], age: float, late: float, found: tuple[Check, float, float, str]
-) -> None:
+def test_a_trip_says_what_it_saw(changes, age, late, found):
     assert check(sample(**changes), age, late, LIMITS) == Trip(*found, 1.25)
 
 
@@ -184,11 +174,8 @@ def test_a_trip_says_what_it_saw(
         ((Check.TEMPERATURE, Check.SUPPLY), {"temperature": 99.0, "supply_voltage": 0.0}),
     ],
 )
-def test_of_two_broken_limits_the_cause_is_named(
-    order: tuple[Check, Check], changes: dict[str, float]
-) -> None:
+def test_of_two_broken_limits_the_cause_is_named(order, changes):
     trip = check(sample(**changes), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert trip.check is order[0]
 
 
@@ -216,12 +203,9 @@ HOT = dataclasses.replace(
         ),
     ],
 )
-def test_both_sides_of_the_gas_limits(
-    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
-) -> None:
+def test_both_sides_of_the_gas_limits(kind, inside, outside, limit):
     assert check(sample(**inside), 0.0, 0.0, HOT) is None
     trip = check(sample(**outside), 0.0, 0.0, HOT)
-    assert trip is not None
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
     assert trip.unit == {Check.PRESSURE: "Pa", Check.CONTACT_FORCE: "N"}[kind]
     assert trip.value > limit
@@ -231,7 +215,6 @@ def test_both_sides_of_the_gas_limits(
 
 def test_a_transmitter_that_says_nothing_trips() -> None:
     trip = check(sample(pressure=math.nan), 0.0, 0.0, HOT)
-    assert trip is not None
     assert trip.check is Check.PRESSURE
 
 
@@ -239,7 +222,6 @@ def test_a_force_that_is_no_number_trips() -> None:
     assert HOT.gas is not None
     blind = dataclasses.replace(HOT, gas=dataclasses.replace(HOT.gas, area=lambda _angle: math.nan))
     trip = check(sample(pressure=1e6), 0.0, 0.0, blind)
-    assert trip is not None
     assert trip.check is Check.CONTACT_FORCE
 
 
@@ -261,14 +243,12 @@ def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
     assert "its reset was not requested" in latch.trip.message
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
     trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
-    assert trip is not None
     assert trip.check is Check.NOT_RESET
     assert latch.trip is trip
     latch.ask()
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is None
     # A closed latch opens again at a reset that nobody asked for.
     opened = latch.reset(sample(), 0.0, 0.0, LIMITS)
-    assert opened is not None
     assert opened.check is Check.NOT_RESET
     # Opened on purpose, it forgets what was asked for before.
     latch.ask()
@@ -287,12 +267,9 @@ def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
         ({}, 0.0, 1.0, Check.LATENESS),
     ],
 )
-def test_reset_needs_good_inputs(
-    changes: dict[str, float], age: float, late: float, why: Check
-) -> None:
+def test_reset_needs_good_inputs(changes, age, late, why):
     latch = asked()
     assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
-    assert latch.trip is not None
     assert latch.trip.check is why
     # Asking was good for one reset: the next needs another.
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is not None
@@ -307,7 +284,6 @@ def test_the_latch_judges_age_and_lateness(age: float, late: float) -> None:
     latch.reset(sample(), 0.0, 0.0, LIMITS)
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is None
     trip = latch.judge(sample(), age, late, LIMITS)
-    assert trip is not None
     assert trip.check is (Check.SAMPLE_AGE if age else Check.LATENESS)
 
 

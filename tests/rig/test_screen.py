@@ -1,7 +1,5 @@
 """The screen: nothing that a terminal or pipe does can hold it up."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import struct
@@ -106,7 +104,6 @@ def test_a_full_device_is_noted_and_raises_nothing() -> None:
     with open("/dev/full", "w", encoding="utf-8") as full:
         screen = Screen(SimulatedClock(), full, full)
         screen.say("lost", err=False)
-        assert screen.trouble is not None
         assert screen.trouble.strerror == "No space left on device"
         screen.close()
 
@@ -131,9 +128,7 @@ def test_what_the_encoding_lacks_is_escaped() -> None:
     os.close(reading)
 
 
-def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(
-    terminal: Terminal,
-) -> None:
+def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(terminal):
     clock = SimulatedClock()
     terminal.resize(40)
     screen = on(terminal, clock)

@@ -1,7 +1,5 @@
 """Bench and sequence files: what they command, and every way of asking for too much."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -108,9 +106,7 @@ def test_a_ramp_that_goes_nowhere_stays() -> None:
     st.floats(-5, 5),
     st.floats(0, 3),
 )
-def test_a_ramp_goes_there_and_back_at_its_speed(
-    speed: float, travel: float, rest: float, times: int, center: float, left: float
-) -> None:
+def test_a_ramp_goes_there_and_back_at_its_speed(speed, travel, rest, times, center, left):
     ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=rest, times=times)
     stage = StageSection(
         name="s",
@@ -132,9 +128,7 @@ def test_a_ramp_goes_there_and_back_at_its_speed(
 
 @settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.05, 2.0))
-def test_an_approach_arrives_smoothly_within_its_speed(
-    start: float, end: float, speed: float
-) -> None:
+def test_an_approach_arrives_smoothly_within_its_speed(start, end, speed):
     path = np.concatenate([[start], approach(start, end, speed, 0.001)])
     assert path[-1] == pytest.approx(end, abs=1e-12) or len(path) == 1
     assert np.abs(np.diff(path)).max(initial=0.0) <= speed * 0.001 * (1 + 1e-9)

@@ -1,7 +1,5 @@
 """The sequencer against fakes: every way out leaves the drive verified off and a readable log."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import itertools
@@ -88,9 +86,7 @@ def test_commands_never_jump(runner: Any, fake_bench: Any) -> None:
         ({"current_A": float("nan")}, "motor current nan A"),
     ],
 )
-def test_a_limit_trips_mid_motion(
-    runner: Any, fake_bench: Any, change: dict[str, float], words: str
-) -> None:
+def test_a_limit_trips_mid_motion(runner, fake_bench, change, words):
     bench = fake_bench()
     bench.faults["exchange", 700] = lambda: bench.overrides.update(change)
     folder, outcome = runner(bench)
@@ -128,9 +124,7 @@ def test_a_limit_trips_mid_motion(
         ),
     ],
 )
-def test_whatever_a_verb_raises_anywhere(
-    runner: Any, fake_bench: Any, verb: str, count: int, error: BaseException
-) -> None:
+def test_whatever_a_verb_raises_anywhere(runner, fake_bench, verb, count, error):
     bench = fake_bench()
     bench.faults[verb, count] = throw(error)
     folder, outcome = runner(bench)
@@ -178,9 +172,7 @@ def test_a_drive_that_drops_out_is_a_device_failure(runner: Any, fake_bench: Any
 
 
 @pytest.mark.parametrize("nth", [3, 20])
-def test_a_full_disk(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, nth: int
-) -> None:
+def test_a_full_disk(runner, fake_bench, monkeypatch, nth):
     """Out of space at the n-th flush after the run's head."""
     flush, calls = McapWriter.flush, itertools.count()
 
@@ -265,9 +257,7 @@ def test_a_drive_that_is_found_under_power_ends_its_ramp(runner: Any, fake_bench
 
 
 @pytest.mark.parametrize(("busy_ms", "ending"), [(26, Ending.DONE), (27, Ending.FAILED)])
-def test_lateness_against_real_time_is_counted_and_judged(
-    runner: Any, fake_bench: Any, busy_ms: int, ending: Ending
-) -> None:
+def test_lateness_against_real_time_is_counted_and_judged(runner, fake_bench, busy_ms, ending):
     """A simulated bench that is held to real time is judged by this computer's lateness."""
     pacer = Pacer()
     bench = fake_bench(pacer=pacer)

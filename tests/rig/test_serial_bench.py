@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -37,6 +35,9 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         ),
         ([("round_trip_ms: 0", "round_trip_ms: 16")], r"81.58 ms, .* cycle_Hz to 9.80392"),
         ([(BUS, "bus: {interface: epos_serial}")], r":13:6: bus.port: missing"),
+        ([(BUS, "bus: {interface: epos_seral}")], r":13:18: bus.interface: .*'epos_serial'"),
+        ([("kind: amt21, port: mock", "kind: amt21, port: mok")], r":15:30: .*port: .*'mock'"),
+        ([(BUS, "bus: {interface: mok}")], r":13:18: bus.interface: .*'mock'"),
         ([(ENCODER, "encoder: {kind: cia406}")], "an encoder of kind cia406 needs a CAN bus"),
         (
             [("kind: amt21, port: mock", "kind: amt21, port: /dev/ttyUSB1")],
@@ -44,11 +45,19 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         ),
         ([("address: 84", "address: 85")], r"encoder.address: .*multiple of 4"),
     ],
-    ids=["cycle", "round trip", "no port", "CAN encoder", "mixed", "address"],
+    ids=[
+        "cycle",
+        "round trip",
+        "no port",
+        "near serial",
+        "near port",
+        "near mock",
+        "CAN encoder",
+        "mixed",
+        "address",
+    ],
 )
-def test_a_bench_that_cannot_work_is_refused(
-    tmp_path: Path, changes: list[tuple[str, str]], words: str
-) -> None:
+def test_a_bench_that_cannot_work_is_refused(tmp_path, changes, words):
     with pytest.raises(InputError, match=words):
         load_bench(variant(tmp_path, *changes, source="practical_serial"))
 

@@ -1,7 +1,5 @@
 """``rig simulate``, ``rig identify --ladder`` and ``--score`` as a user runs them."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -110,9 +108,7 @@ def test_the_band_holds_the_torque_that_was_set_aside(campaign: Path, tmp_path: 
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_ladder_and_score_are_printed_recorded_and_reported(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ladder_and_score_are_printed_recorded_and_reported(campaign, tmp_path, capsys):
     write_recording(tmp_path / "friday.csv", 0.35)
     other = tmp_path / "friday.yaml"
     other.write_text("".join(CAMPAIGN.splitlines(keepends=True)[:6]) + "  - {file: friday.csv}\n")
@@ -136,9 +132,7 @@ def test_ladder_and_score_are_printed_recorded_and_reported(
     assert "friday.csv" in {Path(entry["file"]).name for entry in record["inputs"]}
 
 
-def test_score_on_what_was_fitted_is_refused(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_score_on_what_was_fitted_is_refused(campaign, capsys):
     assert status(["identify", str(campaign), "--bandwidth", "40", "--score", str(campaign)]) == 2
     assert "was fitted to this recording" in capsys.readouterr().err
 
@@ -193,9 +187,7 @@ def diagnosed(tmp_path: Path, **more: Any) -> Path:
     return path
 
 
-def test_the_corrected_model_predicts_what_the_nominal_one_does_not(
-    lagging: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_corrected_model_predicts_what_the_nominal_one_does_not(lagging, tmp_path, capsys):
     out, file = tmp_path / "out", tmp_path / "sim.json"
     arguments = [
         "simulate",
@@ -251,13 +243,7 @@ def test_a_curve_is_carried_where_there_is_no_name(lagging: Path, tmp_path: Path
         ({"parameters": {"J": {"value": 95.1, "unit": "kg"}}}, ["motion:", "linear"]),
     ],
 )
-def test_a_file_that_is_no_result(
-    more: dict[str, Any],
-    named: list[str],
-    lagging: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_file_that_is_no_result(more, named, lagging, tmp_path, capsys):
     found = diagnosed(tmp_path, **more)
     out = tmp_path / "out"
     assert status(["simulate", str(lagging), "--result", str(found), "--out", str(out)]) == 2

@@ -1,7 +1,5 @@
 """The simulated machine of a bench file follows the bench; its current loop is judged."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
@@ -40,7 +38,6 @@ def small(folder: Path, extra: str = "") -> Bench:
 
 def test_a_bench_without_mock_is_simulated_as_the_file_describes_it(tmp_path: Path) -> None:
     mock = small(tmp_path).mock
-    assert mock is not None
     assert mock.motor.gear_ratio == 51
     assert (mock.motor.resistance_ohm, mock.motor.inductance_H) == (0.6, 0.0002)
     assert (mock.joint.moment_arm_m, mock.joint.lever_ratio) == (0.15, 1)
@@ -56,7 +53,6 @@ def test_a_bench_without_mock_is_simulated_as_the_file_describes_it(tmp_path: Pa
 def test_what_the_file_says_of_the_simulated_machine_wins(tmp_path: Path) -> None:
     stated = "mock: {motor: {gear_ratio: 50}, joint: {Mc_N_m: 0.7}, supply_V: 22}\n"
     mock = small(tmp_path, stated).mock
-    assert mock is not None
     assert (mock.motor.gear_ratio, mock.motor.resistance_ohm) == (50, 0.6)
     assert (mock.joint.Mc_N_m, mock.supply_V, mock.loops.voltage_limit_V) == (0.7, 22, 22)
 
@@ -80,9 +76,7 @@ def test_the_simulated_drive_rates_what_the_bench_says(tmp_path: Path) -> None:
 
 
 @given(st.floats(0.01, 20.0), st.floats(1e-6, 0.1))
-def test_the_derived_current_loop_is_stable_whatever_the_motor(
-    resistance: float, inductance: float
-) -> None:
+def test_the_derived_current_loop_is_stable_whatever_the_motor(resistance, inductance):
     tree, _ = parse(f"machine: {{resistance_ohm: {resistance!r}, inductance_H: {inductance!r}}}")
     parts = derived(tree.plain())
     motor, loops = parts["motor"], parts["loops"]
@@ -152,7 +146,6 @@ def test_the_paper_s_motor_is_stable_with_a_wide_margin() -> None:
 
 def test_the_words_name_a_gain_that_is_stable() -> None:
     words = unstable_current_loop(machine(WINDING, 5.0))
-    assert words is not None
     assert (
         "with 0.0001 H and 0.6 ohm at 20000 Hz the current loop of the simulated drive is unstable"
         in words

@@ -1,7 +1,5 @@
 """Unattended runs on a simulated bench: what comes back, and how they end early."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Campaigns on synthetic files: what is mended and noted, what is refused and where."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -205,9 +203,7 @@ PLAIN = "file: a.csv"
         (times("m", -1), "{file: a.csv, gravity: {mass: 1, length: 1}}", []),
     ],
 )
-def test_what_is_mended_or_doubted_is_noted(
-    tmp_path: Path, change: Callable[[Columns], object], item: str, notes: list[str]
-) -> None:
+def test_what_is_mended_or_doubted_is_noted(tmp_path, change, item, notes):
     (recording,) = load(tmp_path, change, item)
     assert len(recording.notes) == len(notes)
     assert all(map(str.startswith, recording.notes, notes))
@@ -229,9 +225,7 @@ def test_what_is_mended_or_doubted_is_noted(
         (shuffled, PLAIN, "", "`angle` jumps from sample to sample"),
     ],
 )
-def test_what_cannot_be_used_is_refused_with_its_line(
-    tmp_path: Path, change: Callable[[Columns], object], item: str, place: str, words: str
-) -> None:
+def test_what_cannot_be_used_is_refused_with_its_line(tmp_path, change, item, place, words):
     assert problems(tmp_path, change, item)[0].startswith(f"{tmp_path}/a.csv{place}: {words}")
 
 

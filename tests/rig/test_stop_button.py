@@ -1,7 +1,5 @@
 """The stop and pause buttons: which signal does what, and what is given back."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

@@ -133,9 +133,7 @@ VERBS = (*STEPS, *IN_BRAKING, "glance")
     brake=st.booleans(),
     insistent=st.booleans(),
 )
-def test_whatever_one_step_raises_every_later_step_runs(
-    step: str, make: Callable[[], BaseException], brake: bool, insistent: bool
-) -> None:
+def test_whatever_one_step_raises_every_later_step_runs(step, make, brake, insistent):
     servo = Servo({step: make})
     found = safe(servo, brake, insistent)
     assert "disable" in servo.order
@@ -169,9 +167,7 @@ def test_a_defect_of_hurry_is_told_and_does_not_end_the_ramp(prepared: bool) -> 
         st.sampled_from((*STEPS, *IN_BRAKING, "glance")), st.sampled_from(EXCEPTIONS)
     )
 )
-def test_whatever_several_steps_raise_each_is_tried(
-    raising: dict[str, Callable[[], BaseException]],
-) -> None:
+def test_whatever_several_steps_raise_each_is_tried(raising):
     servo = Servo(raising)
     found = safe(servo)
     order = [verb for verb in servo.order if verb in ("quick_stop", "disable")]

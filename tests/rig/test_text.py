@@ -1,7 +1,5 @@
 """Text of every language in every locale; files arrive whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -88,9 +86,7 @@ def test_files_are_written_as_utf_8(tmp_path: Path) -> None:
     assert json.loads(content) == {"file": "ü", "emoji": "😀", "escape": "\\udcc3"}
 
 
-def test_a_stored_path_leads_back_to_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stored_path_leads_back_to_the_file(tmp_path, monkeypatch):
     file = tmp_path / WHO
     file.write_bytes(b"")
     assert stored_path(str(file)) == file
@@ -123,9 +119,7 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
-def test_the_earlier_version_survives_and_no_draft_is_left(
-    tmp_path: Path, error: BaseException
-) -> None:
+def test_the_earlier_version_survives_and_no_draft_is_left(tmp_path, error):
     path = tmp_path / "r.txt"
     write_text(path, "before")
 

@@ -1,7 +1,5 @@
 """Constants of several runs: which moved between two, and which drift over a history."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -205,9 +203,7 @@ def test_a_constant_that_is_not_determined_is_not_judged() -> None:
     assert "not known" in text(compare_document(runs))
 
 
-def test_runs_without_constants_are_compared_by_what_was_measured(
-    short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_without_constants_are_compared_by_what_was_measured(short_sequence, tmp_path, capsys):
     runs = [str(tmp_path / name) for name in ("one", "two")]
     for seed, run in enumerate(runs):
         assert status(["run", str(short_sequence), "--yes", "--seed", str(seed), "--out", run]) == 0

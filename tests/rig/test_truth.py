@@ -16,18 +16,9 @@ from rig.results.identify.identify import METHODS
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 
-SEQUENCE = """\
-sequence: 1
-name: short
-stages:
-  - name: free
-    stage: unloaded
-    weight_kg: 0
-    tones: [{amplitude_deg: 15, frequency_Hz: 1.0, phase_deg: 0}]
-    duration_s: 3
-    ramp_in_s: 0.5
-    ramp_out_s: 0.5
-"""
+from .benches import sine, stages
+
+SEQUENCE = stages(sine("free", 15, 1.0, 3, more=", ramp_in_s: 0.5, ramp_out_s: 0.5"))
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +32,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_is_what_the_simulated_machine_was_given(run: Path) -> None:
     truth = truth_of(run)
     machine = load_bench("practical").value.mock
-    assert truth is not None
-    assert machine is not None
     assert truth["Mc"] == machine.joint.Mc_N_m
     assert truth["J"] == machine.joint.inertia_kg_m2
     assert len(truth) == 9
@@ -116,16 +105,12 @@ def test_what_a_bench_hides_is_in_no_file_of_the_run(hiding: Path) -> None:
     assert truth_of(hiding) is None
 
 
-def test_the_attached_bench_is_one_that_an_engineer_could_write(
-    hiding: Path, tmp_path: Path
-) -> None:
+def test_the_attached_bench_is_one_that_an_engineer_could_write(hiding, tmp_path):
     attached = tmp_path / "attached.yaml"
     attached.write_bytes(read_run(hiding / "recording.mcap").attachments["bench.yaml"])
     bench, original = load_bench(attached).value, load_bench("practical").value
     assert bench.limits == original.limits
     assert bench.machine == original.machine
-    assert bench.mock is not None
-    assert original.mock is not None
     assert (bench.mock.motor, bench.mock.loops) == (original.mock.motor, original.mock.loops)
 
 

@@ -2,8 +2,6 @@
 runs. ``make units`` tries three hundred.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -39,9 +37,7 @@ def test_a_drawn_bench(tmp_path: Path, mistake: str | None) -> None:
         (TENFOLD, 822, "epos_serial"),
     ],
 )
-def test_a_mistake_is_found_on_every_transport(
-    tmp_path: Path, mistake: str, seed: int, bus: str
-) -> None:
+def test_a_mistake_is_found_on_every_transport(tmp_path, mistake, seed, bus):
     drawn = draw(np.random.default_rng([seed, 1]), mistake)
     assert drawn.bench["bus"]["interface"] == bus
     folder, outcome = run(drawn, seed, tmp_path / "bench")

@@ -1,7 +1,5 @@
 """What an operator can ask for: pause, go on, repeat, abort; typed at the prompt, or by signal."""
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Iterator
@@ -134,16 +132,12 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> ConsoleOperator:
         ("nan\n10\n", 10.0),
     ],
 )
-def test_answers_at_the_prompt(
-    monkeypatch: pytest.MonkeyPatch, text: str, answer: float | Verb
-) -> None:
+def test_answers_at_the_prompt(monkeypatch, text, answer):
     assert typed(monkeypatch, text).confirm_weight("heavy", 10.0) == answer
 
 
 @pytest.mark.parametrize("text", ["abort\n", ""])
-def test_giving_up_at_the_prompt(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, text: str
-) -> None:
+def test_giving_up_at_the_prompt(runner, fake_bench, monkeypatch, text):
     bench = fake_bench()
     _, outcome = runner(bench, typed(monkeypatch, text))
     assert outcome.ending is Ending.STOPPED
@@ -168,9 +162,7 @@ def test_answers_to_a_pause(monkeypatch: pytest.MonkeyPatch, text: str, verb: Ve
 
 
 @pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_while_braking_takes_the_power_off_at_once(
-    runner: Any, fake_bench: Any, presses: int
-) -> None:
+def test_ctrl_c_while_braking_takes_the_power_off_at_once(runner, fake_bench, presses):
     bench, stop = fake_bench(), StopButton()
     bench.faults["exchange", 700] = stop.press
     if presses == 2:

@@ -1,7 +1,5 @@
 """The weight check: friction against the confirmed mass."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Sequence
@@ -218,9 +216,7 @@ def run_hanging(wrong: dict[str, float], *arguments: str) -> int:
         return status(["run", *arguments, "--yes"])
 
 
-def test_a_wrong_weight_is_refused_before_full_amplitude(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_weight_is_refused_before_full_amplitude(tmp_path, capsys):
     known = str(write_result(tmp_path / "known.json"))
     path, out = sequence(tmp_path / "s.yaml", 0, 20), tmp_path / "out"
     assert run_hanging({"m20": 24.0}, path, "--identification", known, "--out", str(out)) == 1
@@ -239,9 +235,7 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_after_the_run_and_in_its_identification_the_stage_off_its_label_is_named(
-    tmp_path: Path,
-) -> None:
+def test_after_the_run_and_in_its_identification_the_stage_off_its_label_is_named(tmp_path):
     out, result = tmp_path / "out", tmp_path / "result.json"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
     assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1

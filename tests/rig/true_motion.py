@@ -1,7 +1,5 @@
 """The true motion of the simulated machines of a test, with one loop of the drive reversed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

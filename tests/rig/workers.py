@@ -1,7 +1,5 @@
 """Parents whose workers hang or die, which ``test_cluster`` runs in processes of their own."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """MuJoCo's machine in the drive's loops: its stiction, its motor, its effects."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

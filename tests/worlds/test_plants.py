@@ -4,8 +4,6 @@ The voltage that the own plant's drive asks for is given to the third plant's ma
 machines have the same input whatever their drives do. MuJoCo's machine is in the first tests alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -97,9 +95,7 @@ def plain() -> tuple[World, Signals]:
     return world, played(world)
 
 
-def test_a_stuck_joint_is_exactly_still_and_lets_go_at_the_static_limit(
-    plain: tuple[World, Signals],
-) -> None:
+def test_a_stuck_joint_is_exactly_still_and_lets_go_at_the_static_limit(plain):
     world, signals = plain
     still = np.flatnonzero(np.diff(signals.angle[:1500]) == 0.0)
     assert len(still) > 100

@@ -1,7 +1,5 @@
 """Worlds for any plant: what is drawn, what the logger makes of signals, what is judged."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -82,24 +82,21 @@ class DeviceDictionary:
 
     ``check`` hooks run before a value is stored and may raise :class:`SdoAbortError`; ``written``
     hooks run after.
-
-    Attributes:
-        values: Values of the integer objects by key (``index << 8 | subindex``).
-        texts: Texts of the string objects by key.
-        checks: Hooks ``(subindex, value)`` by index.
-        written: Hooks ``(subindex, value)`` by index.
-        deaf: Indices of objects to which writes are acknowledged but ignored.
-        places: Key that an object has on the bus to its key in this dictionary, for the objects
-            that are moved on the bus.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
         self.entries = dict(_load(eds, node_id))
+        # Values of the integer objects by key (`index << 8 | subindex`).
         self.values: dict[int, int] = {}
-        self.texts: dict[int, str] = {}
+        self.texts: dict[int, str] = {}  # texts of the string objects by key
+        # Hooks `(subindex, value)` by index.
         self.checks: dict[int, Callable[[int, int], None]] = {}
+        # Hooks `(subindex, value)` by index.
         self.written: dict[int, Callable[[int, int], None]] = {}
+        # Indices of objects to which writes are acknowledged but ignored.
         self.deaf: frozenset[int] = frozenset()
+        # Key that an object has on the bus to its key in this dictionary, for the objects that are
+        # moved on the bus.
         self.places: Mapping[int, int] = {}
         self.reset(0, 0xFFFF)
 

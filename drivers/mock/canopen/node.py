@@ -289,8 +289,7 @@ PDO_TOO_SHORT: Final = 0x8210
 
 GENERIC: Final = 0x01
 COMMUNICATION: Final = 0x10
-PROFILE: Final = 0x20
-"""Bits of the error register 1001h."""
+PROFILE: Final = 0x20  # bits of the error register 1001h
 
 
 class Nmt(IntEnum):
@@ -303,12 +302,7 @@ class Nmt(IntEnum):
 
 
 class SimulatedNode:
-    """Base of the simulated devices; a subclass implements the hooks at the end of the class.
-
-    Attributes:
-        remote_frames: Whether the device answers remote frames, that is, guard requests.
-        sdo_delay_ns: Time that the device takes for an SDO answer, ns.
-    """
+    """Base of the simulated devices; a subclass implements the hooks at the end of the class."""
 
     def __init__(
         self,
@@ -319,8 +313,9 @@ class SimulatedNode:
         clock_offset_us: int,
     ) -> None:
         self.node_id = node_id
+        # Whether the device answers remote frames, that is, guard requests.
         self.remote_frames = True
-        self.sdo_delay_ns = 0
+        self.sdo_delay_ns = 0  # time that the device takes for an SDO answer, ns
         self.state = Nmt.INITIALISING
         self.objects = DeviceDictionary(eds, node_id)
         self._values = self.objects.values

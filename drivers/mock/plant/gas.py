@@ -236,8 +236,7 @@ def settled_pressure(throat: float, g: Vector) -> float:
     return p
 
 
-HEAT_RATIO = 1.25
-"""Specific-heat ratio of the gas."""
+HEAT_RATIO = 1.25  # specific-heat ratio of the gas
 
 
 def gas_vector(machine: constants.Machine) -> Vector:

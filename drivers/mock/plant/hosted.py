@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import ConfigurationError, MachineError
+from drivers.errors import CORRECT_MACHINE, ConfigurationError, MachineError
 from drivers.mock.plant.effects.own import user_module
 from drivers.mock.plant.machine import DrivenMachine, Latches, Truth
 from drivers.mock.plant.parts import constants, loops
@@ -104,9 +104,6 @@ class HostedMachine(DrivenMachine):
     circuit: this damps any machine, while the voltage of an open winding depends on constants that
     the drive does not know. After an error in the machine, the power is off, and the machine is
     not called again: it stands still.
-
-    Attributes:
-        failure: The error in the machine, or None.
     """
 
     def __init__(
@@ -130,7 +127,7 @@ class HostedMachine(DrivenMachine):
             MachineError: The machine fails in the reset or in the first step.
         """
         super().__init__(machine, rng)
-        self.failure: MachineError | None = None
+        self.failure: MachineError | None = None  # the error in the machine, or None
         self._plant, self._path = file
         self._tell: Callable[[MachineError], None] | None = None
         self._joint = self._run_s = 0.0
@@ -233,8 +230,8 @@ class HostedMachine(DrivenMachine):
     def _fail(self, words: str, cause: BaseException | None = None) -> None:
         """Switch the power off, and raise the error or tell it."""
         self.failure = MachineError(
-            f"{words}, {self._run_s:.6g} s after the reset; correct the machine: from there on it "
-            "stands still without power"
+            f"{words}, {self._run_s:.6g} s after the reset; {CORRECT_MACHINE}; the machine stands "
+            "still without power from there on"
         )
         self.failure.__cause__ = cause
         s = self._s

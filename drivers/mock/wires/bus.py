@@ -69,17 +69,15 @@ class SimulatedBus(can.BusABC):
     its worst-case time at ``bitrate``. When the bus becomes idle, the waiting frame with the lowest
     identifier is sent first; each controller sends its frames in order. :meth:`collect` advances
     the clock.
-
-    Attributes:
-        frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
-        down: Whether the host's controller is bus-off; sending then fails, and nothing is received.
     """
 
     def __init__(self, clock: SimulatedClock, bitrate: int = 1_000_000) -> None:
         super().__init__(channel=0)
         self.channel_info = f"simulated bus at {bitrate} bit/s"
         self.bitrate = bitrate
+        # Hooks for fault injection, applied in order to every frame on the wire.
         self.frame_filters: list[FrameFilter] = []
+        # Whether the host's controller is bus-off; sending then fails, and nothing is received.
         self.down = False
         self._clock = clock
         self._times = [frame_bits(n) * NS // bitrate for n in range(9)]

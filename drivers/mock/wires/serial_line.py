@@ -33,18 +33,15 @@ class SimulatedLine:
         baud: Bit rate, bit/s, with 8N1.
         station: The device at the far end.
         echo: Whether the host's adapter returns the bytes that it sends (echo).
-
-    Attributes:
-        station: The device at the far end.
-        filters: Hooks for fault injection, applied in order to every message.
-        cut: Whether the line is unplugged, so that nothing arrives in either direction.
     """
 
     def __init__(
         self, clock: SimulatedClock, baud: int, station: Station, echo: bool = False
     ) -> None:
-        self.station = station
+        self.station = station  # the device at the far end
+        # Hooks for fault injection, applied in order to every message.
         self.filters: list[ByteFilter] = []
+        # Whether the line is unplugged, so that nothing arrives in either direction.
         self.cut = False
         self._clock = clock
         self._byte_ns = _BITS_PER_BYTE * NS // baud
@@ -61,9 +58,7 @@ class SimulatedLine:
         self._clock.call_at(arrival, lambda: self._arrived(data))
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; if there is none, simulated time advances until a byte
-        arrives.
-        """
+        """Return the received bytes; without any, simulated time advances until a byte arrives."""
         self._require_open()
         clock = self._clock
         deadline = clock.now_ns() + round(timeout_s * NS)

@@ -15,8 +15,7 @@ from rig.common.errors import InputError
 from rig.common.places import replacing, require_file, require_folder, usable, write_text
 from rig.common.yaml_tree import scalar
 
-FOLDER: Final = "schemas"
-"""Subfolder for schemas in the folder of a file."""
+FOLDER: Final = "schemas"  # subfolder for schemas in the folder of a file
 _OWN: Final = '"$id": "urn:loadrig:'
 
 

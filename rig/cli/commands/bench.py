@@ -41,8 +41,7 @@ from rig.wiring.teardown import observed
 JOG_SCHEMA = "loadrig.jog/1"
 
 
-ENDS_S: Final = 0.7
-"""Time for the present attempt after the second Ctrl-C, s."""
+ENDS_S: Final = 0.7  # time for the present attempt after the second Ctrl-C, s
 GOES_ON: Final = (
     "the drive is NOT proved off yet: `rig off` goes on taking the power off; a second Ctrl-C ends "
     "`rig off` without this proof"
@@ -155,11 +154,7 @@ def _interruptible(document: Document[Bench], screen: Screen, stop: StopButton) 
     help="Joint angle, deg; may be given several times.",
 )
 @click.option(
-    "--speed",
-    type=shared.Number(),
-    default=5.0,
-    show_default=True,
-    help="Greatest speed on the way, deg/s.",
+    "--speed", type=shared.Number(), default=5.0, help="Greatest speed on the way, deg/s."
 )
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @shared.simulated_seed

@@ -46,15 +46,9 @@ from rig.results.document import (
     write_record,
     write_texts,
 )
-from rig.results.document import (
-    Document as Page,
-)
-from rig.results.document import (
-    Verdict as Headline,
-)
-from rig.results.document import (
-    text as shown,
-)
+from rig.results.document import Document as Page
+from rig.results.document import Verdict as Headline
+from rig.results.document import text as shown
 from rig.runs.catalogue.index import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
@@ -74,12 +68,12 @@ COMMISSION_SCHEMA = "loadrig.commission/1"
 @click.argument("bench")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Folder of the protocol, new or empty. [default: runs/<utc>-commission-<name>]",
 )
 @click.option(
     "--bench-out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="New file for the corrected bench. [default: BENCH with .commissioned before its ending]",
 )
 @click.option(
@@ -94,7 +88,6 @@ COMMISSION_SCHEMA = "loadrig.commission/1"
     "fastest_deg_s",
     type=shared.Number(min=1.0),
     default=FASTEST_DEG_S,
-    show_default=True,
     help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; with soft "
     "gains, a joint in stick-slip moves faster than the command.",
 )

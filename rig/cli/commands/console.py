@@ -31,14 +31,12 @@ DEFAULT_BENCH = "practical"
     "--port",
     type=click.IntRange(0, 65535),
     default=PORT,
-    show_default=True,
     help="Port on this computer; 0 for a free port.",
 )
 @click.option(
     "--runs",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     default=Path("runs"),
-    show_default=True,
     help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
 def console(benches: tuple[str, ...], port: int, runs: Path) -> int:
@@ -81,13 +79,12 @@ _NO_TOKEN = (
 
 
 @click.command("watch")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @click.option("--foxglove", is_flag=True, help="Serve over Foxglove's WebSocket.")
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=FOXGLOVE_PORT,
-    show_default=True,
     help="Port on this computer; 0 for a free port.",
 )
 @click.option(

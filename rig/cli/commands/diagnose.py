@@ -10,7 +10,7 @@ from rig.cli import options as shared
 
 
 @click.command("diagnose")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=shared.PATH)
 @shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
 @click.option(
     "--gas",
@@ -111,14 +111,14 @@ def diagnose(
 @click.option(
     "--check",
     metavar="FILE.py",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Run a Python file with effects of one's own, and say what is wrong with each: units, a "
     "size that no parameter determines.",
 )
 @click.option(
     "--on",
     metavar="SOURCE",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="With --check, also say whether these recordings can show each effect, and which effect "
     "of the catalogue it copies.",
 )
@@ -163,18 +163,22 @@ FORMATS = ("python", "c", "fmu", "modelica", "mjcf", "simulink", "yaml")
 
 
 @click.command("model")
-@click.argument("result", type=click.Path(path_type=Path))
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="c", show_default=True)
+@click.argument("result", type=shared.PATH)
+@click.option("--format", "kind", type=click.Choice(FORMATS), default="c")
 @click.option(
-    "--fmi",
-    type=click.Choice(["2", "3"]),
-    default="3",
-    show_default=True,
-    help="Version of FMI of --format fmu.",
+    "--fmi", type=click.Choice(["2", "3"]), default="3", help="Version of FMI of --format fmu."
 )
+@shared.own_effects
 @shared.out_folder("Folder for the files. [default: ./NAME_FORMAT]")
 @shared.result_file
-def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path | None) -> None:
+def model(
+    result: Path,
+    kind: str,
+    fmi: str,
+    effects_file: Path | None,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
     """Write the model of RESULT for other tools: RESULT is a result file of rig identify or rig
     diagnose, or the folder of one.
 
@@ -190,14 +194,17 @@ def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path |
       rig model runs/demo --format c
       rig model runs/demo/diagnosis/diagnose.json --format fmu --fmi 2 --out simulation
       rig model runs/demo --format yaml
+      rig model runs/demo --effects mine.py
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.errors import InputError
     from rig.common.places import require_folder, write_asked
+    from rig.results.diagnose.own_effects import read_effects
     from rig.results.document import write_texts
     from rig.results.model import exported, read_model
 
-    read = read_model(result)
+    own = read_effects(effects_file)
+    read = read_model(result, own)
     folder = out or Path(f"{read.name}_{kind}")
     require_folder(folder, "--out")
     found = exported(read, kind, int(fmi))
@@ -217,6 +224,7 @@ def model(result: Path, kind: str, fmi: str, out: Path | None, json_file: Path |
         json_file,
         {
             "result": str(read.path),
+            **own.record,
             "format": kind,
             "files": sorted(found.files),
             "checks": dict(found.checks),

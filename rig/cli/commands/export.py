@@ -29,12 +29,12 @@ from rig.wiring.devices import until_the_end
 
 
 @click.command("export")
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True)
+@click.argument("source", type=shared.PATH)
+@click.option("--format", "kind", type=click.Choice(FORMATS), default="csv")
 @shared.partial
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="File to write [default: <source name>.<format>]; an ending that is missing is added.",
 )
 def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
@@ -103,7 +103,7 @@ def _require_free(places: Iterable[Path]) -> None:
 
 
 @click.command("recover")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.record_file("Also write the completed run.json to this file.")
 def recover(run: Path, json_file: Path | None) -> int:
     """Write a clean recording of RUN from all readable records of the damaged recording, and

@@ -16,13 +16,15 @@ _METHODS: dict[str, tuple[str, ...]] = {
 }
 
 
+_OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
+
+
 @click.command("identify")
-@click.argument("source", type=click.Path(path_type=Path), required=False)
+@click.argument("source", type=shared.PATH, required=False)
 @click.option(
     "--method",
     type=click.Choice(list(_METHODS)),
     default="default",
-    show_default=True,
     help="Estimation method; `both` shows both methods side by side.",
 )
 @click.option(
@@ -54,14 +56,11 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "better sequence of the same duration.",
 )
 @click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="With --plan: bench for which the sequence is planned.",
+    "--bench", default="practical", help="With --plan: bench for which the sequence is planned."
 )
 @click.option(
     "--nominal",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="With --plan: last accepted result of `rig identify --json`. [default: the paper's "
     "friction and the practical bench's inertia]",
 )
@@ -80,7 +79,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
 @click.option(
     "--score",
     metavar="SOURCE",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Another source on which the result is scored: error and noise floor of that source, "
     "and the parameters that changed.",
 )
@@ -104,6 +103,9 @@ def identify(
     **options: Any,
 ) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
+
+    The recordings of a campaign may be of several units (key `unit`): each unit is identified, with
+    means and spreads over the units, what they share, and which unit is odd.
 
     With --plan, nothing is identified: the command predicts which parameters a sequence determines,
     and proposes a better sequence that takes no longer. The proposed sequence may have more stages
@@ -141,6 +143,14 @@ def identify(
     from rig.common.places import is_folder, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
     from rig.results.document import PAGE_FILE, text, write_page, write_record
+    from rig.results.fleet import (
+        FLEET_FILE,
+        campaign_of_units,
+        fleet_document,
+        fleet_record,
+        identify_fleet,
+        unit_records,
+    )
     from rig.results.identify.document import identify_document
     from rig.results.identify.identify import (
         Request,
@@ -155,6 +165,22 @@ def identify(
     folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     request = Request(_METHODS[method], bandwidth, **options)
+    if (campaign := campaign_of_units(source)) is not None:
+        if compared or method != "default" or any(options[n] for n in _OF_ONE_UNIT):
+            raise click.UsageError(
+                "the campaign has several units, which --method, --compare, --ladder, --score, "
+                "--profile and --bootstrap do not take; use a campaign with one unit"
+            )
+        with ShareBar() as bar:
+            fleet = identify_fleet(source, campaign, request, bar)
+        write_record(fleet_record(fleet), folder / FLEET_FILE, json_file)
+        for file, record in unit_records(fleet):
+            write_record(record, folder / file, None)
+        document = fleet_document(source_name(source), fleet)
+        write_page(document, folder / PAGE_FILE)
+        click.echo(text(document))
+        click.echo(f"report: {folder / PAGE_FILE}")
+        return
     with ShareBar() as bar:
         outcome = identify_source(source, request, bar)
         truth = truth_of(source)
@@ -205,14 +231,14 @@ def _plan(
 
 
 @click.command("simulate")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=shared.PATH)
 @click.option(
     "--result",
     "results",
     metavar="FILE",
     multiple=True,
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
 @shared.own_effects

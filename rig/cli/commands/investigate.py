@@ -4,6 +4,7 @@ experiment, or only proposes it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,18 +20,12 @@ if TYPE_CHECKING:
     from rig.investigate.investigation import Judgement, State
     from rig.terminal.output import ShareBar
 
-FIRST = "figure10"
-"""Sequence of the first run if neither a sequence nor a run is given."""
+FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run is given
 
 
 @click.command("investigate")
 @click.argument("sources", metavar="[SEQUENCE | RUN...]", nargs=-1)
-@click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="Bench file, or the name of a packaged bench.",
-)
+@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
 @click.option(
     "--budget",
     "budget_min",
@@ -47,7 +42,7 @@ FIRST = "figure10"
     "--confirm",
     "result",
     metavar="RESULT",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     help="Choose no experiment: only predict the confirming one with the model of this result of "
     "`rig diagnose` or `rig investigate`, and run it.",
 )
@@ -88,12 +83,20 @@ def investigate(
       rig investigate --resume --out investigation --bench practical --yes
     """
     # Imported late: --help must not wait for the numerics.
+    from drivers.errors import DeviceError
+    from rig.cli.crash import note_drive
     from rig.common.errors import InputError
     from rig.common.locks import hold_folder
     from rig.common.places import require_folder
     from rig.common.provenance import sha256_file
     from rig.config.bench import load_bench
-    from rig.investigate.investigation import STATE_FILE, Investigation, State, load_state
+    from rig.investigate.investigation import (
+        STATE_FILE,
+        Investigation,
+        State,
+        drive_after,
+        load_state,
+    )
     from rig.wiring.devices import bench_line, until_the_end
 
     folder = out or Path("investigation")
@@ -116,10 +119,17 @@ def investigate(
         _take_sources(state, sources, result)
     folder.mkdir(parents=True, exist_ok=True)
     until_the_end(hold_folder(folder, "rig investigate"))
-    with _Progress() as progress:
-        runner = _runner(bench_file, state, yes, operator_name, progress)
-        investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
-        judged, confirmation = investigation.run()
+    try:
+        with _Progress() as progress:
+            runner = _runner(bench_file, state, yes, operator_name, progress)
+            investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
+            judged, confirmation = investigation.run()
+    except (KeyboardInterrupt, click.Abort, DeviceError) as stop:
+        state.save(folder)
+        given = ["--bench", bench, "--out", str(folder), *["--yes"] * yes]
+        again = shlex.join(["rig", "investigate", "--resume", *given])
+        note_drive(stop, f"{drive_after(folder, state)}\ngo on with: {again}")
+        raise
     return _report(folder, state, judged, confirmation, json_file)
 
 
@@ -262,14 +272,10 @@ def _report(
 
 
 @click.command("design")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=shared.PATH)
 @click.option("--bench", required=True, help="Bench file, or the name of a packaged bench.")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    default=Path("next.yaml"),
-    show_default=True,
-    help="Sequence file of the experiment.",
+    "--out", type=shared.FILE, default=Path("next.yaml"), help="Sequence file of the experiment."
 )
 @click.option("--question", metavar='"A, B"', help="Names of the only effects that are weighed.")
 @shared.seed()

@@ -28,10 +28,10 @@ NEEDED = {
 
 
 @click.command("look")
-@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("path", metavar="FILE", type=shared.PATH)
 @click.option("--skip-rows", type=click.IntRange(0), default=0, help="Lines before the header.")
 @click.option("--delimiter", help="Delimiter, one character. [default: detected from the file]")
-@click.option("--decimal", type=click.Choice([".", ","]), default=".", show_default=True)
+@click.option("--decimal", type=click.Choice([".", ","]), default=".")
 @click.option(
     "--dbc",
     multiple=True,
@@ -44,9 +44,7 @@ NEEDED = {
 )
 @click.option("--bus", help="Bus of recorded CAN traffic, by its name in the file.")
 @click.option(
-    "--campaign",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write a first campaign file, with a comment on every key.",
+    "--campaign", type=shared.FILE, help="Write a first campaign file, with a comment on every key."
 )
 @shared.result_file
 def look(

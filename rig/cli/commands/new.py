@@ -12,6 +12,7 @@ from typing import Any, Final
 import click
 
 from drivers.mock.plant.parts.constants import Joint
+from rig.cli import options as shared
 from rig.cli.authoring import campaign as campaigns
 from rig.cli.authoring.questions import Answers, Listed, Quantity, Question, ask_all, options, shown
 from rig.cli.authoring.schema import KINDS, json_schema
@@ -26,7 +27,7 @@ from rig.planning.plan import make_plan
 from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 
-_PATH = click.argument("path", type=click.Path(path_type=Path))
+_PATH = click.argument("path", type=shared.PATH)
 _YES = click.option(
     "--yes", is_flag=True, help="Ask no questions: values that no option gives have their defaults."
 )
@@ -309,7 +310,7 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 
 @command.command("campaign")
 @_PATH
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", nargs=-1, required=True, type=shared.PATH)
 @options(campaigns.questions())
 @_YES
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
@@ -450,7 +451,7 @@ def remarks(answers: Answers, given: Mapping[str, Any]) -> list[str]:
 @click.option(
     "--out",
     metavar="DIR",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     help="Write KIND.schema.json into this folder; without KIND, the schemas of all kinds of file.",
 )
 def schema(kind: str | None, out: Path | None) -> None:

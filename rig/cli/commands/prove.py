@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,10 @@ from rig.cli import options as shared
 from rig.common.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rig.results.prove.engine import Engine
+    from rig.results.prove.truth import Sealed
 
 
 _STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with 20 seeds
@@ -20,19 +24,11 @@ _STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with
 
 @click.command("paper")
 @click.option(
-    "--seeds",
-    type=click.IntRange(min=1),
-    default=20,
-    show_default=True,
-    help="Number of searches per method.",
+    "--seeds", type=click.IntRange(min=1), default=20, help="Number of searches per method."
 )
 @shared.seed("First seed; each search has the next seed.")
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("paper"),
-    show_default=True,
-    help="Folder for page and figures.",
+    "--out", type=shared.FOLDER, default=Path("paper"), help="Folder for page and figures."
 )
 @shared.result_file
 def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
@@ -84,13 +80,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 
 
 @click.command("prove")
-@click.option(
-    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of trials."
-)
+@click.option("--rigs", type=click.IntRange(min=1), default=600, help="Number of trials.")
 @click.option(
     "--seal",
     "home",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     help="Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
 )
 @click.option(
@@ -101,12 +95,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.FOLDER,
     default=Path("proof"),
-    show_default=True,
     help="Folder of the proof; a proof that was begun in this folder is continued.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
 @click.option(
     "--cluster",
     "workers",
@@ -122,18 +115,12 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 )
 @shared.seed("Seed of draws and diagnosis.")
 @click.option(
-    "--gas",
-    is_flag=True,
-    help="Trials with effects injected into the gas generator; only pressure and angle are used.",
-)
-@click.option(
     "--investigate",
     "investigated",
     is_flag=True,
     help="Find out by `rig investigate` what simulated machines hide, against Figure 10 repeated "
     "for as long; of 34 machines, 4 hide nothing and 3 what the catalogue does not have.",
 )
-@click.option("--keep", is_flag=True, help="Keep the recordings of scored trials, 7 MB each.")
 @shared.result_file
 def prove(
     rigs: int,
@@ -144,22 +131,20 @@ def prove(
     workers: int | None,
     scheduler: str | None,
     seed: int,
-    gas: bool,
     investigated: bool,
-    keep: bool,
     json_file: Path | None,
 ) -> None:
     """Test the diagnosis on blind trials: draw trials with injected effects, seal the truth,
     diagnose, open the truth and score.
 
-    The command prints the SHA-256 of every sealed truth before the first diagnosis starts. With
-    --from, all rigs are diagnosed before the first truth is opened. The result files have the same
-    bytes for any number of processes or workers; SHA256SUMS in the folder lists their digests.
+    The command prints the SHA-256 of every sealed truth before the first diagnosis starts, and
+    diagnoses all rigs before it opens the first truth. Own trials are sealed in OUT/trials, about
+    12 MB each. The result files have the same bytes for any number of processes or workers;
+    SHA256SUMS in the folder lists their digests.
 
     \b
     Example:
       rig prove --rigs 24 --jobs 2 --out proof
-      rig prove --gas --rigs 100 --out gas-proof
       rig prove --investigate --rigs 34 --jobs 2 --out investigated
       rig prove --seal sealed --rigs 24 --seed 7
       rig prove --from sealed-by-others --json proof.json
@@ -173,27 +158,23 @@ def prove(
         raise InputError(
             "--seal writes trials and --from reads trials; give only one of these options"
         )
-    if gas and (home is not None or source is not None):
-        raise InputError("--gas cannot be combined with --seal or --from; leave --gas out")
-    if investigated and (gas or home is not None or source is not None):
-        raise InputError(
-            "--investigate cannot be combined with --gas, --seal or --from; leave it out"
-        )
+    if investigated and (home is not None or source is not None):
+        raise InputError("--investigate cannot be combined with --seal or --from; leave it out")
     require_folder(out, "--out")
     started = time.perf_counter()
     try:
         with engine(jobs, workers, scheduler) as shared_out:
-            if home is not None:
-                require_folder(home, "--seal")
-                _seal(home, rigs, seed, shared_out)
-                return
             if investigated:
                 _investigate(out, rigs, seed, shared_out, started, json_file)
                 return
-            if source is not None:
-                rows = _judge(source, out, rigs, seed, shared_out)
-            else:
-                rows = _prove(out, rigs, seed, gas, shared_out, keep)
+            if home is not None:
+                require_folder(home, "--seal")
+                _tell(_seal(home, rigs, seed, shared_out))
+                return
+            if source is None:
+                source = out / "trials"
+                _seal(source, rigs, seed, shared_out, repeated=True)
+            rows = _judge(source, out, rigs, seed, shared_out)
         _show(rows, out, seed, started, json_file)
     except OSError as error:
         raise InputError(
@@ -221,33 +202,18 @@ def _show(
     click.echo(f"report: {out / PAGE_FILE}")
 
 
-def _prove(
-    out: Path, rigs: int, seed: int, gas: bool, engine: Engine, keep: bool
-) -> list[dict[str, Any]]:
-    """Draw, seal, diagnose and score trials; return their rows."""
-    from rig.results.prove.judge import judge
-    from rig.results.prove.run import GAS, MOTION, begin, work
-    from rig.terminal.output import ShareBar
-
-    proof = begin(out, rigs, seed, GAS if gas else MOTION)
-    for sealed in proof.rigs:
-        click.echo(f"rig {sealed.name} sealed, SHA-256 {sealed.digest}")
-    with ShareBar() as bar:
-        return work(proof, judge, engine, keep, bar)
-
-
 def _investigate(
     out: Path, rigs: int, seed: int, engine: Engine, started: float, json_file: Path | None
 ) -> None:
     """Draw, seal, investigate and score machines, write the result and the report, and print."""
     from rig.common.provenance import Provenance
-    from rig.investigate.proof import proof_document, proof_record, work
+    from rig.investigate.proof import begin, proof_document, proof_record, work
     from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.prove.run import INVESTIGATION, PROOF_FILE, begin
+    from rig.results.prove.run import PROOF_FILE
     from rig.results.prove.score import RESULT_FILE
     from rig.terminal.output import ShareBar
 
-    proof = begin(out, rigs, seed, INVESTIGATION)
+    proof = begin(out, rigs, seed)
     for sealed in proof.rigs:
         click.echo(f"machine {sealed.name} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
@@ -261,27 +227,31 @@ def _investigate(
     click.echo(f"report: {out / PAGE_FILE}")
 
 
-def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
-    """Draw trials, seal them into a folder, and print their digests."""
+def _seal(home: Path, rigs: int, seed: int, engine: Engine, repeated: bool = False) -> list[Sealed]:
+    """Draw trials and seal them; the salts of a ``repeated`` seal follow from the seed."""
     from rig.results.prove.run import seal_own
+    from rig.results.prove.truth import random_salt, repeated_salt
     from rig.terminal.output import ShareBar
 
+    salt = partial(repeated_salt, seed) if repeated else random_salt
     with ShareBar() as bar:
-        sealed = seal_own(home, rigs, seed, engine, bar)
-    for rig in sealed:
+        return seal_own(home, rigs, seed, engine, bar, salt)
+
+
+def _tell(rigs: Iterable[Sealed]) -> None:
+    for rig in rigs:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
-    """Diagnose and score rigs that other programs have sealed; return their rows."""
+    """Print the digests of sealed rigs, diagnose and score them; return their rows."""
     from rig.results.prove.judge import judge, oracle_of
     from rig.results.prove.run import begin_from, diagnose_all, score_all
     from rig.results.prove.simulate import floors_of
     from rig.terminal.output import ShareBar
 
     proof = begin_from(out, rigs, seed, source)
-    for rig in proof.rigs:
-        click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
+    _tell(proof.rigs)
     with ShareBar() as bar:
         diagnose_all(proof, judge, engine, bar)
     with ShareBar() as bar:

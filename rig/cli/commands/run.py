@@ -49,16 +49,9 @@ from rig.wiring.preflight import require_startable
 
 @click.command("run")
 @click.argument("sequence")
+@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
 @click.option(
-    "--bench",
-    default="practical",
-    show_default=True,
-    help="Bench file, or the name of a packaged bench.",
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Run folder, new or empty. [default: runs/<utc>-<name>]",
+    "--out", type=shared.PATH, help="Run folder, new or empty. [default: runs/<utc>-<name>]"
 )
 @shared.yes
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
@@ -71,7 +64,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--faults",
     "fault_file",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Schedule (YAML or CSV) of injected faults on the simulated bench.",
 )
 @shared.operator_name
@@ -79,7 +72,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--feedforward",
     "feedforward_file",
-    type=click.Path(path_type=Path),
+    type=shared.PATH,
     help="Result of `rig identify --json` on this bench; the drive adds the torque of friction "
     "and inertia that this result predicts.",
 )
@@ -93,6 +86,7 @@ from rig.wiring.preflight import require_startable
     "prompt_timeout_s of the bench file]",
 )
 @shared.in_console
+@shared.wait
 @shared.acceptance("those of the sequence")
 @shared.junit
 @shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
@@ -112,6 +106,7 @@ def run(
     reset_fault: bool,
     prompt_timeout_s: float | None,
     in_console: bool,
+    wait_s: float,
     acceptance: Path | None,
     junit_file: Path | None,
     json_file: Path | None,
@@ -181,12 +176,14 @@ def run(
         click.echo(describe_dry_run(computed))
         write_asked(json_file, dry_run_record(computed))
         return BAD_VERDICT if load.problems else DONE
-    status = _carry_out(inputs, plan, path, yes, patience_s, in_console, json_file, injector)
+    status = _carry_out(
+        inputs, plan, path, yes, patience_s, in_console, wait_s, json_file, injector
+    )
     return accept_at_the_end(path, junit_file) if status == DONE else status
 
 
 @click.command("resume")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.yes
 @shared.operator_name
 @shared.identification
@@ -196,6 +193,7 @@ def run(
     "the drive has then tripped."
 )
 @shared.in_console
+@shared.wait
 @shared.acceptance("those of the run")
 @shared.junit
 @shared.record_file("Also write run.json to this file.")
@@ -207,6 +205,7 @@ def resume(
     first_pass: bool | None,
     reset_fault: bool,
     in_console: bool,
+    wait_s: float,
     acceptance: Path | None,
     junit_file: Path | None,
     json_file: Path | None,
@@ -262,7 +261,7 @@ def resume(
     require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     patience_s = resumed.bench.value.prompt_timeout_s
-    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, json_file)
+    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, wait_s, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -279,6 +278,7 @@ def _carry_out(
     yes: bool,
     patience_s: float | None,
     in_console: bool,
+    wait_s: float,
     json_file: Path | None,
     injector: FaultInjector | None = None,
 ) -> int:
@@ -295,7 +295,7 @@ def _carry_out(
         attach = None if injector is None else injector.attach
         offset = inputs.feedforward is not None
         with connected(
-            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose
+            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose, wait_s, screen.say
         ) as devices:
             say_taken_over(devices.lock, screen)
             if inputs.resumed is None:

@@ -1,8 +1,8 @@
-"""``rig runs``: lists, shows, compares and verifies recorded runs."""
+"""``rig runs``: lists, shows, compares, studies, verifies and accepts recorded runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,6 +17,7 @@ from rig.common.places import require_folder, usable, write_asked
 from rig.runs.catalogue.entry import VERDICTS
 
 if TYPE_CHECKING:
+    from rig.config.acceptance import Limit
     from rig.results.document import Document
     from rig.runs.catalogue.entry import Entry
 
@@ -80,15 +81,13 @@ def _filters(command: Any) -> Any:
 
 
 _last = click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
-_folder = click.argument(
-    "folder", type=click.Path(path_type=Path, file_okay=False), default=DEFAULT_FOLDER
-)
+_folder = click.argument("folder", type=shared.FOLDER, default=DEFAULT_FOLDER)
 _page = shared.out_folder("Also write a page with figures into this folder.")
 
 
 @click.group("runs")
 def command() -> None:
-    """List, show, compare, accept and verify recorded runs.
+    """List, show, compare, study, accept and verify recorded runs.
 
     An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
@@ -132,7 +131,7 @@ def list_(
 
 
 @command.command("show")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @_page
 @shared.result_file
 def show(run: Path, out: Path | None, json_file: Path | None) -> None:
@@ -151,7 +150,7 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 
 
 @command.command("compare")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
@@ -231,8 +230,65 @@ def trend(
     _show(trend_document(found), out)
 
 
+@command.command("study")
+@click.argument("folders", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@_filters
+@_last
+@shared.acceptance("those of the last run")
+@shared.seed("Seed of the order of the draws for the intervals.")
+@shared.out_folder("Also write a page into this folder.")
+@shared.result_file
+def study(
+    folders: tuple[Path, ...],
+    last: int | None,
+    acceptance: Path | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+    **given: Any,
+) -> None:
+    """Study how far the constants of one unit repeat in the identified runs in FOLDERS (`runs` if
+    left out): standard deviations within an operator's day, between operators and between days.
+
+    Every standard deviation has a 90 % interval; the numbers of runs need not be equal. If a
+    constant has acceptance limits, six standard deviations are compared with their distance. Choose
+    runs of one unit with one sequence.
+
+    \b
+    Example:
+      rig runs study --bench practical --sequence figure10 --since 2026-11-23
+      rig runs study runs/monday runs/tuesday --json study.json
+    """
+    from rig.cli.accepting import stated_limits
+    from rig.results.catalogue.study import studies, study_document, study_record
+    from rig.runs.catalogue.entry import latest
+
+    # A run that is in several of the folders counts once.
+    wanted = {
+        (folder / entry.folder).resolve(): replace(entry, folder=str(folder / entry.folder))
+        for folder in folders or (DEFAULT_FOLDER,)
+        for entry in _chosen(folder, given)[1]
+    }
+    entries = latest(sorted(wanted.values(), key=lambda entry: entry.head.created), last)
+
+    def limits(run: Path) -> Sequence[Limit]:
+        try:
+            return stated_limits(run, acceptance)[0]
+        except InputError as error:
+            if acceptance is not None:
+                raise
+            click.echo(f"no tolerances: {error}", err=True)
+            return ()
+
+    found = studies(entries, limits, seed)
+    if not found:
+        raise InputError("no identified run is chosen; `rig identify RUN` identifies a run")
+    _write(json_file, lambda: study_record(found, seed))
+    _show(study_document(found), out)
+
+
 @command.command("verify")
-@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
 def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
@@ -263,7 +319,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
 
 
 @command.command("accept")
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
 @shared.junit
 @shared.result_file
@@ -275,7 +331,7 @@ def accept(
     The limits are those of --acceptance, else those of the file that was given to `rig run`, else
     those of the recorded sequence. If the limits need identified parameters or a diagnosis, and the
     run folder has no such result, RUN is identified or diagnosed. The command writes
-    acceptance.json, certificate.html, certificate.pdf and SHA256SUMS into the run folder. The exit
+    acceptance.json, certificate.html and SHA256SUMS into the run folder. The exit
     status is 1 if a limit is not met.
 
     \b

@@ -1,30 +1,23 @@
-"""The certificate of a run: as a document, as an HTML page for one sheet, and as a PDF page."""
+"""The certificate of a run: as a document, and as an HTML page for one sheet."""
 
 from __future__ import annotations
 
-import io
 import re
-import textwrap
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.figure import Figure as Sheet
 
 from identification.numerics.arrays import plain
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
-from rig.common.places import replacing, usable
+from rig.common.places import usable
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
 from rig.common.provenance import heading, sha256_file
-from rig.common.tables import interval, number, table
+from rig.common.tables import interval, number
 from rig.common.text import valid
 from rig.config.acceptance import Limit
 from rig.results.acceptance.evidence import (
@@ -38,7 +31,6 @@ from rig.results.acceptance.evidence import (
 )
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import (
-    Block,
     Document,
     Note,
     Picture,
@@ -50,7 +42,7 @@ from rig.results.document import (
     write_record,
     write_texts,
 )
-from rig.results.run.go_on import CERTIFICATE_PAGE, CERTIFICATE_PDF
+from rig.results.run.go_on import CERTIFICATE_PAGE
 from rig.results.run.report import REPORT_FILE, write_verdict
 from rig.runs.catalogue.index import bench_name
 from rig.runs.run_file import seal, seal_run
@@ -233,102 +225,6 @@ def _overview(dataset: Dataset) -> Figure:
     return made
 
 
-_WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210.0, 297.0, 15.0
-_PICTURE_MM = 62.0
-_ROW_MM = 4.2
-_POINTS_PER_MM = 72.0 / 25.4
-_ADVANCE = 0.602
-"""Width of a character of the font (DejaVu Sans Mono), relative to its size."""
-_LONGEST_CELL = 64
-"""Longest line of a cell, characters: that of a digest."""
-_BAD, _GOOD = "#b00020", "#00713d"
-
-
-def certificate_lines(certificate: Document) -> list[str]:
-    """Return the certificate as lines of text; long cells of a table have several lines."""
-    lines = [certificate.title, ""]
-    for name, value in certificate.facts:
-        lines += [f"{name + ':':<15}{line}" for line in textwrap.wrap(value, 44)]
-    return lines + [line for section in certificate.sections for line in _lines(section)]
-
-
-def _lines(block: Block) -> Iterator[str]:
-    match block:
-        case Section():
-            yield from ("", block.title, "") if block.title else ()
-            for inner in block.blocks:
-                yield from _lines(inner)
-        case SideBySide():
-            yield from _lines(block.left)
-            yield from _lines(block.right)
-        case Table():
-            yield from _table_lines(block)
-        case Note():
-            yield block.text
-
-
-def _table_lines(cells: Table) -> list[str]:
-    rows = [
-        line
-        for row in cells.rows
-        for line in zip_longest(
-            *(textwrap.wrap(cell, _LONGEST_CELL) or [""] for cell in row), fillvalue=""
-        )
-    ]
-    return table(cells.header, rows, cells.right).splitlines()
-
-
-def certificate_pdf(certificate: Document) -> bytes:
-    """Return the certificate as a PDF of one A4 page; longer content gets smaller text."""
-    (opening,) = certificate.summary
-    verdict = next(block for block in opening.blocks if isinstance(block, Verdict))
-    lines = [*certificate_lines(certificate), "", *textwrap.wrap(verdict.statement, 100)]
-    lines += ["", "", f"date {'_' * 30}    signature {'_' * 40}"]
-    sheet = Sheet(figsize=(_WIDTH_MM / 25.4, _HEIGHT_MM / 25.4))
-    FigureCanvasPdf(sheet)
-    top = _MARGIN_MM + 14.0
-    row_mm = min(_ROW_MM, (_HEIGHT_MM - _MARGIN_MM - top) / len(lines))
-    room = (_WIDTH_MM - 2.0 * _MARGIN_MM) / (_ADVANCE * max(map(len, lines)))
-    size = min(0.72 * row_mm, room) * _POINTS_PER_MM
-
-    def write(y_mm: float, words: str, size: float, colour: str, weight: str = "normal") -> None:
-        place = _MARGIN_MM / _WIDTH_MM, 1.0 - y_mm / _HEIGHT_MM
-        # Without formulas, so that a dollar sign in a name is drawn as a dollar sign.
-        sheet.text(
-            *place, words, fontsize=size, color=colour, weight=weight, family="monospace",
-            va="top", parse_math=False,
-        )  # fmt: skip
-
-    colour = _GOOD if verdict.tone == "good" else _BAD
-    write(_MARGIN_MM, verdict.headline, 18.0, colour, "bold")
-    for k, line in enumerate(lines):
-        failed = line.endswith(("FAILED", "OVERDUE"))
-        heading = lines[k - 1 : k + 2] == ["", line, ""]
-        write(
-            top + k * row_mm,
-            line,
-            size,
-            _BAD if failed else "black",
-            "bold" if failed or heading else "normal",
-        )
-    for picture in (block for block in opening.blocks if isinstance(block, Picture)):
-        height = min(_PICTURE_MM, row_mm * (len(certificate.facts) + 6))
-        right = _WIDTH_MM - _MARGIN_MM
-        left = max(right - 75.0, _MARGIN_MM + size / _POINTS_PER_MM * _ADVANCE * 62)
-        axes = sheet.add_axes(
-            (left / _WIDTH_MM, 1.0 - (_MARGIN_MM + height) / _HEIGHT_MM,
-             (right - left) / _WIDTH_MM, height / _HEIGHT_MM)
-        )  # fmt: skip
-        axes.imshow(matplotlib.image.imread(io.BytesIO(picture.data), format="png"))
-        axes.set_axis_off()
-        axes.set_anchor("NE")
-    buffer = io.BytesIO()
-    metadata = {"Title": f"{certificate.title}: {verdict.headline}", "Creator": "loadrig"}
-    with rc_context({"pdf.fonttype": 42}):
-        sheet.savefig(buffer, format="pdf", metadata=metadata)
-    return buffer.getvalue()
-
-
 ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"
 RESULT_FILE = "acceptance.json"
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -427,18 +323,11 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
     certificate = make_certificate(folder, bench, evidence, checks, digests, made)
     write_texts({CERTIFICATE_PAGE: filled("certificate.html.j2", certificate)}, folder)
-    write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
-    seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])
+    seal(folder, [*digests, CERTIFICATE_PAGE])
     with usable(folder / REPORT_FILE, "written"):
         write_verdict(folder, record)
     return Acceptance(checks, result, junit(record, bench, checks), folder)
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step."""
-    with usable(path, "written"), replacing(path) as draft:
-        draft.write_bytes(content)
 
 
 def acceptance_document(found: Acceptance) -> Document:
@@ -449,11 +338,11 @@ def acceptance_document(found: Acceptance) -> Document:
     statement = (
         f"{failed} of {len(rows)} checks failed."
         if failed
-        else f"The run passed all {len(rows)} checks."
+        else f"The run is complete and met all {len(rows) - 1} limits."
     )
     blocks = (
         Table(("limit", "verdict", "found"), rows, ()),
         Verdict(headline, statement, "good" if found.accepted else "open"),
-        Note(f"certificate: {found.folder / CERTIFICATE_PAGE}, {CERTIFICATE_PDF}"),
+        Note(f"certificate: {found.folder / CERTIFICATE_PAGE}"),
     )
     return Document("Acceptance", "", (Section("", blocks),))

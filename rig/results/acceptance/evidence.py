@@ -39,28 +39,20 @@ DIAGNOSIS_FOLDER = "diagnosis"
 
 @dataclass(frozen=True)
 class Evidence:
-    """Values of a run that the acceptance limits apply to.
-
-    Attributes:
-        digests: SHA-256 of the recordings of the run, by file.
-        dataset: Finished excitations of the run, or None if no excitation was finished.
-        constants: Identified constants; empty if no limit needs an identification.
-        method: Method of the identification; empty without one.
-        fit_rms: Torque error of the identification; None without one.
-        diagnosis: Verdict of the diagnosis; empty if no limit needs a diagnosis.
-        weights: Verdict and message of the last weight check, by the name of the stage.
-        problems: Messages on values that could not be obtained.
-    """
+    """Values of a run that the acceptance limits apply to."""
 
     record: RunRecord
-    digests: Mapping[str, str]
+    digests: Mapping[str, str]  # SHA-256 of the recordings of the run, by file
+    # Finished excitations of the run, or None if no excitation was finished.
     dataset: Dataset | None = None
+    # Identified constants; empty if no limit needs an identification.
     constants: Mapping[str, Constant] = field(default_factory=dict)
-    method: str = ""
-    fit_rms: float | None = None
-    diagnosis: str = ""
+    method: str = ""  # method of the identification; empty without one
+    fit_rms: float | None = None  # torque error of the identification; None without one
+    diagnosis: str = ""  # verdict of the diagnosis; empty if no limit needs a diagnosis
+    # Verdict and message of the last weight check, by the name of the stage.
     weights: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    problems: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()  # messages on values that could not be obtained
 
 
 def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidence:
@@ -164,8 +156,7 @@ def _loaded(record: RunRecord) -> Iterable[str]:
     return (stage.name for stage in record.stages if stage.stage == "loaded")
 
 
-COMPLETE = "run complete"
-"""Name of the check that every run must pass before its limits are judged."""
+COMPLETE = "run complete"  # name of the check that every run must pass before its limits are judged
 SAME_LOAD = "same load during the stage"
 """Name of the check that a stage fails whose load changed, whatever the limits."""
 

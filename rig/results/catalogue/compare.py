@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from identification.numerics.arrays import plain
-from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
+from identification.numerics.spread import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Array, Dataset
 from rig.common.errors import InputError
 from rig.common.provenance import heading
@@ -76,9 +76,7 @@ class RunFigures:
 
 
 def figures_of(folder: Path) -> RunFigures:
-    """Return the measured values of a run. Values of excitations are None if no excitation was
-    finished.
-    """
+    """Return the measured values of a run; those of excitations are None if none was finished."""
     record = read_record(folder)
     dataset, problem = None, ""
     try:
@@ -373,32 +371,22 @@ def _difference_record(each: Difference) -> dict[str, Any]:
     }
 
 
-FALSE_ALARMS = 0.01
-"""Greatest share of the histories without change in which a change is reported."""
+FALSE_ALARMS = 0.01  # greatest share of the histories without change in which a change is reported
 _HALF_WIDTHS = 1.6448536269514722
 """Ratio of the half width of a 90 % interval to the standard error."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """Values of one identified parameter in the runs that determine it, in the order of the runs.
-
-    Attributes:
-        name: Name of the constant.
-        runs: Index of the run of each value, in the history.
-        constants: The values with their intervals.
-        change: The step or drift that fits best; None with too few runs.
-        p_value: p-value of the change, for all constants of the history together; None without a
-            test.
-        with_devices: Devices that were replaced at the step.
-    """
+    """Values of one identified parameter in the runs that determine it, in order of the runs."""
 
     name: str
-    runs: tuple[int, ...]
-    constants: tuple[Constant, ...]
-    change: Change | None
+    runs: tuple[int, ...]  # index of the run of each value, in the history
+    constants: tuple[Constant, ...]  # the values with their intervals
+    change: Change | None  # the step or drift that fits best; None with too few runs
+    # p-value of the change, for all constants of the history together; None without a test.
     p_value: float | None
-    with_devices: tuple[str, ...] = ()
+    with_devices: tuple[str, ...] = ()  # devices that were replaced at the step
 
     @property
     def alarm(self) -> bool:
@@ -423,8 +411,26 @@ def histories(
     root: Path, entries: Sequence[Entry], seed: int = 0, only: str | None = None
 ) -> list[History]:
     """Return the histories of the benches of identified runs; a run and its copies count once."""
+    groups, left_out = identified_runs(root, entries)
+    made = (
+        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
+        for key, runs in groups.items()
+    )
+    return [each for each in made if each.courses or only is None]
+
+
+Groups = dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]]
+"""Runs by bench, whether the bench is simulated, method of the identification, and motion."""
+
+
+def identified_runs(
+    root: Path, entries: Sequence[Entry]
+) -> tuple[Groups, dict[tuple[str, bool | None], list[str]]]:
+    """Return the identified runs in groups that can be compared, and the reasons why the others are
+    left out, by bench; a run and its copies count once.
+    """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
-    groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
+    groups: Groups = {}
     left_out: dict[tuple[str, bool | None], list[str]] = {}
     for entry in entries:
         head = entry.head
@@ -440,11 +446,7 @@ def histories(
             details = entry.parsed()
             key = (head.bench, head.simulated, head.identified, details.motion)
             groups.setdefault(key, []).append((entry, details))
-    made = (
-        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
-        for key, runs in groups.items()
-    )
-    return [each for each in made if each.courses or only is None]
+    return groups, left_out
 
 
 def _history(
@@ -580,7 +582,7 @@ def _section(history: History, *, pictures: bool) -> Section:
         "p",
         "finding",
     )
-    notes = [*_steps(history), *_left_out(history)]
+    notes = [*_steps(history), *left_out_notes(history.left_out)]
     verdict = _verdict(history)
     cells = Table(header, rows, (1, 2, 3, 5, 6, 8))
     alone = history.courses[:1] if pictures and len(history.courses) == 1 else ()
@@ -660,10 +662,11 @@ def _steps(history: History) -> Iterator[Note]:
             yield Note(f"{course.name}: stepped at {run}, {words}")
 
 
-def _left_out(history: History) -> Iterator[Note]:
-    for words in history.left_out[:_MOST_LEFT_OUT]:
+def left_out_notes(left_out: Sequence[str]) -> Iterator[Note]:
+    """Yield notes on the first runs that do not count, and on the number of the others."""
+    for words in left_out[:_MOST_LEFT_OUT]:
         yield Note(f"left out: {words}", "aside")
-    more = len(history.left_out) - _MOST_LEFT_OUT
+    more = len(left_out) - _MOST_LEFT_OUT
     if more > 0:
         yield Note(f"left out: {more} more", "aside")
 

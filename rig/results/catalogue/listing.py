@@ -194,7 +194,6 @@ PAGES = (
     ("report.html", "identification"),
     ("diagnosis/report.html", "diagnosis"),
     ("certificate.html", "certificate"),
-    ("certificate.pdf", "certificate, for paper"),
 )
 """Pages that a run folder may contain, and their content."""
 FIGURE = "figures/stribeck_default.png"

@@ -355,9 +355,7 @@ def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
 
 OBSERVABLE_SCHEMA = "loadrig.observable/1"
 HIDDEN = 0.01
-"""Share of a regressor beyond the nominal parameters below which the effect counts as collinear
-with the nominal model.
-"""
+"""Share of a regressor beyond the nominal parameters, below which an effect is collinear."""
 
 
 @dataclass(frozen=True)
@@ -495,10 +493,15 @@ def check_effects(own: OwnFile, source: Path | None, seed: int = 0) -> tuple[Che
     Raises:
         InputError: The source cannot be used, or an effect fails.
     """
+    # Imported late: a diagnosis without effects of one's own needs no driver.
+    from drivers.mock.plant.effects.own import STATES
+
     seen = None if source is None else observe_source(source, seed, own=own)
     found = []
     for entry in own.effects:
         problems = entry.problems() if isinstance(entry, OwnEffect) else []
+        if isinstance(entry, OwnEffect) and entry.name in own.injects:
+            problems += entry.problems_of(own.injects[entry.name], STATES)
         shown = None
         if seen is not None:
             shown = next((e for e in seen.effects if e.name == entry.name), None)

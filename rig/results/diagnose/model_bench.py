@@ -68,10 +68,7 @@ def _plain(text: str) -> Tree:
 
 
 def model_bench(
-    base: Mapping[str, Any],
-    model: CorrectedModel,
-    constants: Constants,
-    own: OwnFile = NO_FILE,
+    base: Mapping[str, Any], model: CorrectedModel, constants: Constants, own: OwnFile = NO_FILE
 ) -> tuple[Tree, list[str]]:
     """Return bench file data in which the model of a result is the simulated machine, and notes on
     the parts of the model that the machine cannot represent; effects of one's own are those that a
@@ -106,7 +103,7 @@ def model_bench(
             section["moment_arm_m"] = constants.moment_arm
     effects = dict(model.effects)
     mock.pop("effects_file", None)
-    if own.path is not None and own.injects & effects.keys():
+    if own.path is not None and own.injects.keys() & effects.keys():
         mock["effects_file"] = str(own.path.resolve())
     for path, text in problems(effects, own=own.injects):
         notes.append(f"{path[0]} is left out of the simulated bench: {'.'.join(path)}: {text}")

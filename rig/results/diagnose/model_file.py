@@ -45,8 +45,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
 INVESTIGATE_SCHEMA = "loadrig.investigate/1"
 """Schema of a result that is that of a diagnosis of all runs of an investigation, and more."""
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA, INVESTIGATE_SCHEMA)
-_LARGEST = 1e12
-"""Largest plausible magnitude of a parameter, SI units."""
+_LARGEST = 1e12  # largest plausible magnitude of a parameter, SI units
 _MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,19 +17,13 @@ from rig.common.provenance import sha256_file
 
 @dataclass(frozen=True)
 class OwnFile:
-    """A file with effects of one's own.
+    """A file with effects of one's own."""
 
-    Attributes:
-        path: The file; None for no file.
-        sha256: Its SHA-256.
-        effects: Its effects, in the order of their definition.
-        injects: Names of the effects that functions of the file inject into a simulated machine.
-    """
-
-    path: Path | None = None
+    path: Path | None = None  # the file; None for no file
     sha256: str = ""
-    effects: tuple[Effect, ...] = ()
-    injects: frozenset[str] = frozenset()
+    effects: tuple[Effect, ...] = ()  # its effects, in the order of their definition
+    # Name of each effect that a function of the file injects into a simulated machine to it.
+    injects: Mapping[str, Callable[..., float]] = field(default_factory=dict)
 
     @cached_property
     def catalogue(self) -> Mapping[str, Effect]:
@@ -70,15 +64,15 @@ def read_effects(path: Path | None) -> OwnFile:
             or (isinstance(found, Effect) and _of(type(found), module))
         ]
         own = tuple(with_own(list(dict.fromkeys(defined))).values())[len(EFFECTS) :]
-        injects = frozenset(injected(path))
+        injects = {name: getattr(module, f"inject_{name}") for name in injected(path)}
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ConfigurationError, EffectError) as error:
         raise InputError(str(error)) from error
     if not own:
         raise InputError(
-            f"{path}: has no effect; define a function with the decorator "
-            "identification.effects.own.effect, or a subclass of OwnEffect"
+            f"{path}: has no effect; define a function with the decorator identification.effect, "
+            "or a subclass of identification.Effect"
         )
     return OwnFile(path, digest, own, injects)
 

@@ -18,6 +18,7 @@ from identification.design.simulated import NAMES, Intervals, PlannedModel, Sens
 from identification.model.parameters import NOMINAL
 from identification.numerics.arrays import finite
 from identification.recording import Recording
+from identification.result import WIDEST
 from identification.simulation.drive_loop import drive_loop
 from rig.common.errors import InputError
 from rig.common.provenance import heading, sha256_file
@@ -42,28 +43,19 @@ from rig.results.document import Document as Page
 from rig.results.document import Note, Section, Table
 from rig.runs.run import bench_constants, load_run
 
-_SMALLEST = 1e-12
-"""Smallest plausible parameter value, SI units; the largest is its inverse."""
+_SMALLEST = 1e-12  # smallest plausible parameter value, SI units; the largest is its inverse
 
 
 @dataclass(frozen=True)
 class NominalValues:
-    """Nominal values of a bench before an experiment.
+    """Nominal values of a bench before an experiment."""
 
-    Attributes:
-        values: The nine parameters, SI.
-        source: Origin of the nominal values, as text.
-        weakest: The least accurate parameter, or None if unknown.
-        recordings: The recordings from which the values were identified, if the run can still be
-            read.
-        torque_noise: Noise of the measured torque, N m rms, or None if unknown.
-    """
-
-    values: dict[str, float]
-    source: str
-    weakest: str | None = None
+    values: dict[str, float]  # the nine parameters, SI
+    source: str  # origin of the nominal values, as text
+    weakest: str | None = None  # the least accurate parameter, or None if unknown
+    # The recordings from which the values were identified, if the run can still be read.
     recordings: tuple[Recording, ...] = ()
-    torque_noise: float | None = None
+    torque_noise: float | None = None  # noise of the measured torque, N m rms, or None if unknown
 
 
 def nominal_values(path: Path | None) -> NominalValues:
@@ -127,8 +119,7 @@ def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
     return tuple(out)
 
 
-NOISE_SHARE = 1e-3
-"""Default current noise as a share of the bench's current limit."""
+NOISE_SHARE = 1e-3  # default current noise as a share of the bench's current limit
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses, kg, to choose from beside the sequence's, if the bench file lists none."""
 
@@ -325,12 +316,12 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
 
 def _intervals_words(found: Intervals) -> str:
     """Return how many parameters are determined, and the least accurate."""
-    open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
+    open_names = [n for n, w in found.half_widths.items() if not w <= WIDEST]
     if open_names:
         return f"does not determine {', '.join(open_names)}"
     return (
-        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
-        f"{percent(100.0 * found.worst)}"
+        f"determines all {len(found.half_widths)}; the least accurate is "
+        f"{found.weakest}, to +-{percent(100.0 * found.worst)}"
     )
 
 

@@ -15,12 +15,12 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Recording
 from identification.result import (
+    HEADLINES,
     Convergence,
     Fit,
     Identification,
     KnownConstant,
     MeasuredNoise,
-    Misfit,
     Parameter,
     Profile,
     Trace,
@@ -65,8 +65,7 @@ PRIORS_NOTE = (
     "intervals of the parameters that correlate with its parameter. Trade-offs, profiles and "
     "bootstrap are from the recordings alone."
 )
-_MOVED = 4
-"""Largest number of parameters in a row of the table of constants."""
+_MOVED = 4  # largest number of parameters in a row of the table of constants
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
@@ -75,16 +74,13 @@ def uncertainty_notes(result: Identification) -> list[str]:
     if result.least_pinned:
         lines.append(result.least_pinned)
     hit = [p.name for p in result.parameters.values() if p.at_bound]
-    lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
+    ends = ", ".join(hit) or "none"
+    lines.append(f"parameters at an end of the range in which they are sought: {ends}")
     if result.noise:
         lines.append(_noise_statement(result.noise, result.motion))
     lines += [
-        f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
-        + (
-            f"solved its estimating equations (chi-square up to {number(s.reached)})"
-            if s.absolute
-            else "ended at the best"
-        )
+        f"{s.best} of {len(s.ends)} searches of the {s.stage} parameters, each from other start "
+        f"values, ended {'at a solution' if s.absolute else 'at the best fit'}"
         for s in result.starts
     ]
     return [f"{result.method}: {line}" for line in lines]
@@ -92,18 +88,15 @@ def uncertainty_notes(result: Identification) -> list[str]:
 
 def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
     """Return text on the estimated noise of the recordings."""
-    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
+    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, new in each sample"
     if noise.correlated:
-        over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
+        over = f"which persists for {number(1e3 * noise.correlation_s, 2)} ms"
         torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
     factor, unit = (1e6, "um") if motion == LINEAR else (math.degrees(1.0), "deg")
     step, beyond = (
         f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
     )
-    return (
-        f"noise estimated from the prediction errors: {torque}; encoder step {step}, and "
-        f"{beyond} rms in addition"
-    )
+    return f"noise of the recordings: {torque}; encoder step {step}, and {beyond} rms beside it"
 
 
 def _columns(
@@ -433,22 +426,26 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
     ]
 
 
-def _pinned_notes(results: Sequence[Identification]) -> list[str]:
-    """Return the number of determined parameters, and the least accurate."""
+def determined_notes(results: Sequence[Identification]) -> list[str]:
+    """Return the number of parameters that the intervals as printed determine, and the least
+    accurate of these.
+    """
     lines = []
     for result in results:
         widths = {
-            n: 0.5 * (p.high - p.low) / abs(p.value)
-            for n, p in result.parameters.items()
-            if p.value and p.low is not None and p.high is not None and p.high > p.low
+            n: 0.5 * (high - low) / abs(p.value)
+            for n, (low, high) in result.intervals.items()
+            if (p := result.parameters[n]).determined and p.value and high > low
         }
-        if widths:
-            weakest = max(widths, key=lambda n: widths[n])
-            count = f"{len(widths)} of {len(result.parameters)} parameters"
-            lines.append(
-                f"{result.method}: determines {count}; the weakest is {weakest}, to "
-                f"{percent(100.0 * widths[weakest])}"
-            )
+        if result.intervals:
+            known = sum(p.determined for p in result.parameters.values())
+            line = f"{result.method}: {known} of {len(result.parameters)} parameters are determined"
+            if widths:
+                weakest = max(widths, key=lambda n: widths[n])
+                line += (
+                    f"; the least accurate is {weakest}, to +-{percent(100.0 * widths[weakest])}"
+                )
+            lines.append(line)
     return lines
 
 
@@ -456,7 +453,10 @@ def note(parameter: Parameter) -> str:
     """Return a remark on an estimate in addition to its numbers."""
     if not parameter.identifiable:
         return "not identifiable"
-    return "at the bound of the search" if parameter.at_bound else ""
+    if parameter.at_bound:
+        return "at the end of the range of the search"
+    unknown = parameter.low is not None and not parameter.determined
+    return "not determined: the interval is too wide" if unknown else ""
 
 
 def _row(
@@ -582,7 +582,7 @@ def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Se
     if verdicts := _misfits(results):
         yield Section("", verdicts)
     yield Section("", (parameter_table(results, truth),))
-    lines = [*map(_fit_line, results), *_pinned_notes(results)]
+    lines = [*map(_fit_line, results), *determined_notes(results)]
     lines += [line for result in results for line in uncertainty_notes(result)]
     yield Section("", tuple(map(Note, lines)))
     for cells, line in (each for result in results for each in uncertainty_tables(result)):
@@ -621,43 +621,17 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield provenance_section(outcome.provenance)
 
 
-_MISFIT_HEADLINES = {
-    Misfit.EXPLAINS_LITTLE: "This model does not describe this machine",
-    Misfit.AT_BOUNDS: "The fit has no friction or no inertia where the model has some",
-    Misfit.ABOVE_FLOOR: "The model leaves more than noise",
-}
-
-
 def _misfits(results: Sequence[Identification]) -> tuple[Verdict, ...]:
     """Return the verdict on each model that does not describe the recordings."""
     return tuple(
         Verdict(
-            _MISFIT_HEADLINES[r.misfit[0]],
-            f"{r.method}: {_misfit_statement(r)}. `rig diagnose` seeks what is missing.",
+            HEADLINES[r.misfit[0]],
+            f"{r.method}: {r.misfit_words}. `rig diagnose` seeks what is missing.",
             "open",
         )
         for r in results
         if r.misfit
     )
-
-
-def _misfit_statement(result: Identification) -> str:
-    """Return what is left beside torque and noise floor, and the constants at their bounds."""
-    fit, parts = result.fit, []
-    if Misfit.EXPLAINS_LITTLE in result.misfit:
-        share = percent(100.0 * max(fit.explained, 0.0))
-        parts.append(f"the fit explains {share} of the torque's power")
-    if Misfit.AT_BOUNDS in result.misfit:
-        several = len(result.bounded) > 1
-        words = "are at their bounds 0" if several else "is at its bound 0"
-        parts.append(f"{', '.join(result.bounded)} {words}")
-    if Misfit.ABOVE_FLOOR in result.misfit:
-        parts.append(
-            f"the error, {number(fit.train_rms, 3)} {fit.unit} rms at "
-            f"{number(fit.bandwidth_Hz, 3)} Hz, is {number(fit.floors, 2)} times the noise floor, "
-            f"{number(fit.noise_floor_rms, 3)} {fit.unit}, and the intervals include what is left"
-        )
-    return "; ".join(parts)
 
 
 def _warnings(results: Sequence[Identification]) -> list[Note]:
@@ -697,7 +671,7 @@ def _parameters(
     results: Sequence[Identification], truth: Mapping[str, float] | None
 ) -> Iterator[Table | Note | Picture]:
     yield parameter_table(results, truth)
-    for line in (*_pinned_notes(results), *parameter_notes(results)):
+    for line in (*determined_notes(results), *parameter_notes(results)):
         yield Note(line, "aside")
     if truth is not None:
         yield Note(_TRUTH, "aside")

@@ -59,50 +59,33 @@ _FED = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of ``rig identify``.
+    """Result of ``rig identify``."""
 
-    Attributes:
-        dataset: The identified dataset.
-        ladder: All rungs of the ladder of friction models, if requested.
-        simulated: The rungs fitted to the simulated angle, if requested and if the recordings can
-            be simulated.
-        transfer: The first result scored on other recordings, if requested.
-        scored_on: Source of the other recordings in ``transfer``.
-        comparison: Comparison of all estimators, if requested.
-    """
-
-    dataset: Dataset
+    dataset: Dataset  # the identified dataset
     results: tuple[Identification, ...]
     provenance: Provenance
-    ladder: tuple[Rung, ...] = ()
-    transfer: Transfer | None = None
-    scored_on: Path | None = None
-    comparison: tuple[Contender, ...] = ()
+    ladder: tuple[Rung, ...] = ()  # all rungs of the ladder of friction models, if requested
+    transfer: Transfer | None = None  # the first result scored on other recordings, if requested
+    scored_on: Path | None = None  # source of the other recordings in `transfer`
+    comparison: tuple[Contender, ...] = ()  # comparison of all estimators, if requested
+    # The rungs fitted to the simulated angle, if requested and if the recordings can be simulated.
     simulated: tuple[SimulatedRung, ...] = ()
 
 
 @dataclass(frozen=True)
 class Request:
-    """Settings of an identification.
+    """Settings of an identification."""
 
-    Attributes:
-        methods: Names from :data:`METHODS`; every method starts its random generator from ``seed``.
-        bandwidth_Hz: Bandwidth of the fit; None to choose it from the recordings.
-        ladder: Whether to fit and score every rung of the friction models as well.
-        score: Another source to score the first result on.
-        profile: Whether the default method profiles the likelihood of every parameter.
-        draws: Bootstrap draws of the default method, None for none.
-        partial: Whether to use unfinished excitations of a run as well; a warning in the
-            result names these excitations.
-    """
-
+    # Names from `METHODS`; every method starts its random generator from `seed`.
     methods: Sequence[str] = ("default",)
-    bandwidth_Hz: float | None = None
+    bandwidth_Hz: float | None = None  # bandwidth of the fit; None to choose it from the recordings
     seed: int = 0
-    ladder: bool = False
-    score: Path | None = None
-    profile: bool = False
-    draws: int | None = None
+    ladder: bool = False  # whether to fit and score every rung of the friction models as well
+    score: Path | None = None  # another source to score the first result on
+    profile: bool = False  # whether the default method profiles the likelihood of every parameter
+    draws: int | None = None  # bootstrap draws of the default method, None for none
+    # Whether to use unfinished excitations of a run as well; a warning in the result names these
+    # excitations.
     partial: bool = False
 
 

@@ -47,8 +47,7 @@ from rig.results.document import (
 )
 from rig.sources import load_source
 
-FittedModel = tuple[Path, CorrectedModel]
-"""A result file and its model."""
+FittedModel = tuple[Path, CorrectedModel]  # a result file and its model
 
 
 @dataclass(frozen=True)
@@ -67,9 +66,7 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[FittedModel], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model, and again without effects if the model has
-    effects.
-    """
+    """Predict every recording with every model, and without effects if the model has some."""
     found = []
     for file, model in models:
         seen = views_for(dataset.recordings, bandwidth_Hz, model)
@@ -85,8 +82,7 @@ def predict(
 
 
 RESULT_FILE = "simulate.json"
-SHARES = (1.0, 0.5, 0.0)
-"""Factors on the friction of a result, whose errors are references."""
+SHARES = (1.0, 0.5, 0.0)  # factors on the friction of a result, whose errors are references
 
 
 @dataclass(frozen=True)
@@ -104,31 +100,26 @@ class Case:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Result of ``rig simulate``.
-
-    Attributes:
-        models: Models in the requested order.
-        predictions: Equation errors of every model, with its effects and without.
-        prepared: The recordings at the bandwidth of the torque errors, in their order.
-        cases: Every model with every share of friction, in closed loop, without effects; empty if
-            the controller of a recording is unknown.
-        responses: Responses of the first model with full friction, in the order of the recordings.
-        bandwidth_Hz: Bandwidth of the torque errors.
-        short: Texts on recordings that are too short for the bandwidth and left out, and on
-            effects of one's own from another version of their file.
-        bands: Torque of the first model with its 90 % band, in the order of the recordings; empty
-            if its result file has no covariance.
-    """
+    """Result of ``rig simulate``."""
 
     dataset: Dataset
-    models: tuple[FittedModel, ...]
+    models: tuple[FittedModel, ...]  # models in the requested order
+    # Equation errors of every model, with its effects and without.
     predictions: tuple[Prediction, ...]
+    # The recordings at the bandwidth of the torque errors, in their order.
     prepared: tuple[Prepared, ...]
+    # Every model with every share of friction, in closed loop, without effects; empty if the
+    # controller of a recording is unknown.
     cases: tuple[Case, ...]
+    # Responses of the first model with full friction, in the order of the recordings.
     responses: tuple[Response, ...]
-    bandwidth_Hz: float
+    bandwidth_Hz: float  # bandwidth of the torque errors
     provenance: Provenance
+    # Texts on recordings that are too short for the bandwidth and left out, and on effects of one's
+    # own from another version of their file.
     short: tuple[str, ...] = ()
+    # Torque of the first model with its 90 % band, in the order of the recordings; empty if its
+    # result file has no covariance.
     bands: tuple[Banded, ...] = ()
 
     def inside(self, role: str) -> float | None:

@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,6 +24,7 @@ import numpy as np
 import yaml
 
 from identification.effects.model import CorrectedModel
+from identification.effects.own import OwnEffect, sampled
 from identification.export.c import EVERY, c_texts, s_function_text
 from identification.export.fmu import fmu_texts
 from identification.export.machine import INPUTS, Machine, machine
@@ -36,6 +38,7 @@ from rig.common.places import is_file, is_folder
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSE_FILE
 from rig.results.diagnose.model_file import model_of, read_result
+from rig.results.diagnose.own_effects import NO_FILE, OwnFile
 
 SAMPLES = 1000
 """Number of samples of each test file."""
@@ -45,6 +48,7 @@ TOLERANCE = 1e-6
 BEYOND_STATIC = 1.5
 """Greatest torque of the current in the test files, relative to static friction."""
 MOTION, SIMULATION = "test_motion.csv", "test_simulation.csv"
+PYTHON_FILE = "model.py"
 _COMPILE = ("-std=c99", "-O2")
 
 
@@ -61,6 +65,7 @@ class Model:
         intervals: Name of a parameter, or ``effect.parameter``, to the ends of its interval.
         ranges: Signal to its least and greatest value in the recordings.
         notes: What the reader should know.
+        own: Whether the equations contain effects of one's own.
     """
 
     path: Path
@@ -71,12 +76,30 @@ class Model:
     intervals: Mapping[str, tuple[float | None, float | None]]
     ranges: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
+    own: bool = True
 
     def without(self, effect: str) -> Machine:
         """Return the equations without one effect."""
         kept = {n: v for n, v in self.corrected.effects.items() if n != effect}
         plain = replace(self.corrected, effects=kept)
-        return machine(self.name, plain, self.bench, {}, self.ranges)
+        return machine(self.name, plain, self.bench, {}, self.ranges, own=self.own)
+
+    def checked(self) -> Model:
+        """Return the model, without equations of effects of one's own if they are not those of
+        model.py.
+        """
+        catalogue = self.corrected.catalogue
+        own = any(isinstance(catalogue[name], OwnEffect) for name in self.corrected.effects)
+        if not own or self.machine is None:
+            return self
+        try:
+            tested(self, self.machine)
+        except InputError:  # an export with these equations says so
+            return self
+        except (RuntimeError, ValueError):
+            given = self.corrected, self.bench, self.intervals, self.ranges, self.machine.source
+            return replace(self, machine=machine(self.name, *given, own=False), own=False)
+        return self
 
 
 @dataclass(frozen=True)
@@ -88,8 +111,9 @@ class Exported:
     notes: tuple[str, ...] = ()
 
 
-def read_model(given: Path) -> Model:
-    """Read the model of a result file, or of a folder with one.
+def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
+    """Read the model of a result file, or of a folder with one, with the effects of a file of one's
+    own.
 
     Raises:
         InputError: There is no result file, or the result lacks what a model needs.
@@ -110,7 +134,7 @@ def read_model(given: Path) -> Model:
             f"{path}: constants: the file lacks the constants of the bench, as an earlier version "
             "wrote it; repeat rig identify or rig diagnose"
         )
-    corrected = model_of(record, _recordings(record), str(path))
+    corrected = model_of(record, _recordings(record), str(path), own.catalogue)
     try:
         bench = Bench(motion=record["motion"], **constants)
     except (TypeError, KeyError) as error:
@@ -133,7 +157,8 @@ def read_model(given: Path) -> Model:
         for n, entry in record.get("parameters", {}).items()
         if isinstance(entry, Mapping) and entry.get("value") is None and n in corrected.parameters
     ]
-    return Model(path, name, corrected, bench, made, intervals, ranges, tuple(undetermined))
+    notes = tuple(undetermined)
+    return Model(path, name, corrected, bench, made, intervals, ranges, notes).checked()
 
 
 def _recordings(record: Mapping[str, Any]) -> list[str]:
@@ -184,7 +209,7 @@ Made = tuple[Mapping[str, str | bytes], Sequence[str], Mapping[str, float]]
 
 
 def _python(model: Model, m: Machine, tests: Mapping[str, str], _fmi: int) -> Made:
-    return {"model.py": _model_py(model), "simulate.py": simulation_text(m)}, (), {}
+    return {PYTHON_FILE: _model_py(model), "simulate.py": simulation_text(m)}, (), {}
 
 
 def _c(model: Model, m: Machine, tests: Mapping[str, str], _fmi: int) -> Made:
@@ -249,7 +274,10 @@ FORMATS: Mapping[str, Callable[[Model, Machine, Mapping[str, str], int], Made]] 
 def _model_py(model: Model) -> str:
     channels = {"time": np.array([0.0, 1.0])}
     empty = Recording(name="none", channels=channels, bench=model.bench)
-    return python_text(model.corrected, empty, model.name)
+    try:
+        return python_text(model.corrected, empty, model.name)
+    except ValueError as error:  # a function of one's own uses what text cannot contain
+        raise InputError(f"{PYTHON_FILE} cannot be written: {error}") from error
 
 
 def _yaml(model: Model) -> str:
@@ -335,7 +363,7 @@ def tested(model: Model, m: Machine) -> tuple[dict[str, str], dict[str, float]]:
     lacking = {left.name for left in m.left_out if left.whole}
     kept = {n: v for n, v in model.corrected.effects.items() if n not in lacking}
     comparable = replace(model, corrected=replace(model.corrected, effects=kept))
-    texts = {"model.py": _model_py(comparable), "simulate.py": simulation_text(m)}
+    texts = {PYTHON_FILE: _model_py(comparable), "simulate.py": simulation_text(m)}
     with _written(texts) as folder:
         reference, simulate = (_imported(folder / name) for name in texts)
     signal = _excitation(model, m)
@@ -379,7 +407,8 @@ def _inverse(
 
     model.py has all samples of a recording; a simulation has those up to the present. Therefore
     differences over one step take the place of central differences in model.py, the value at the
-    sample that of the mean over its period, and friction at the start is zero.
+    sample that of the mean over its period, the greatest step that before the first sample, and
+    friction at the start is zero.
     """
     low, high = m.ranges.get("angle", (-0.3, 0.3))
     fastest = max(map(abs, m.ranges.get("velocity", (0.5,))))
@@ -404,6 +433,7 @@ def _inverse(
         ("central_difference", lambda v, h: np.concatenate(([0.0], np.diff(v) / h))),
         ("initial_friction", lambda *_: 0.0),
         ("mean_over_sample", lambda view, zero, _, law: law(view.current - zero)),
+        ("sampled", partial(sampled, first=m.largest_step)),
     ):
         setattr(reference, name, here)
     s = reference.signals(

@@ -1,4 +1,4 @@
-"""The paper's Fig. 2 to 5, 9 and 11, eq. 14 and compensation, each with our result."""
+"""The paper's Fig. 2 to 5, 9 and 11, and eq. 14, each with our result."""
 
 from __future__ import annotations
 
@@ -51,25 +51,15 @@ Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 
 @dataclass(frozen=True)
 class Exhibit:
-    """Content of the page under one heading.
+    """Content of the page under one heading."""
 
-    Attributes:
-        name: Key in the result file, and file name of its data: ``fig_2``.
-        title: Heading.
-        paper: What the paper prints or shows, as text.
-        found: Our results, one sentence each.
-        pictures: Figures; the first is named like the exhibit.
-        data: Plotted data by the name of the picture.
-        table: Values side by side, if any.
-    """
-
-    name: str
-    title: str
-    paper: str
-    found: tuple[str, ...]
-    pictures: tuple[Picture, ...] = ()
-    data: Mapping[str, Rows] | None = None
-    table: Table | None = None
+    name: str  # key in the result file, and file name of its data: `fig_2`
+    title: str  # heading
+    paper: str  # what the paper prints or shows, as text
+    found: tuple[str, ...]  # our results, one sentence each
+    pictures: tuple[Picture, ...] = ()  # figures; the first is named like the exhibit
+    data: Mapping[str, Rows] | None = None  # plotted data by the name of the picture
+    table: Table | None = None  # values side by side, if any
 
 
 def columns(**named: Array) -> Rows:
@@ -253,93 +243,6 @@ def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
     return _thinned(**named)
 
 
-SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
-PERIOD_S = 5.0
-FIRST_S = 2.0
-CYCLES = 2
-_SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-
-
-def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
-    """Return the tracking error of both cases, and the energy of one cycle."""
-    pairs = list(zip(plain.recordings, fed.recordings, strict=True))
-    return Exhibit(
-        "compensation",
-        "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
-        "The paper states that friction raises control error and power consumption, and that "
-        "the model is a starting point for compensation; it shows no compensation.",
-        (
-            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
-            f"command less joint encoder, and electrical energy, over {CYCLES} cycles.",
-        ),
-        (
-            Picture.of(
-                "compensation",
-                "Tracking error of the 0.2 Hz sine without and with feed-forward",
-                regulator.errors([_panel(*pair) for pair in pairs]),
-            ),
-        ),
-        {"compensation": _sine_data(pairs)},
-        _table(pairs),
-    )
-
-
-def _load(recording: Recording) -> str:
-    return f"{recording.contact_force:.0f} N"
-
-
-def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time since the start, s, and a mask of the samples of whole cycles."""
-    time = np.asarray(recording.time - recording.time[0])
-    return time, (time >= _SPAN[0]) & (time < _SPAN[1])
-
-
-def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
-    time, part = _part(before)
-    errors = _both(lambda recording: tracking_error(recording)[part], before, after)
-    return _load(before), time[part], errors
-
-
-def _sine_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    named: dict[str, Array] = {}
-    for before, after in pairs:
-        time, part = _part(before)
-        named["time_s"] = time[part]
-        both = ((before, before.stage), (after, f"{before.stage}_fed"))
-        for recording, name in both:
-            named[f"error_{name}_rad"] = tracking_error(recording)[part]
-        for recording, name in both:
-            power = recording.channels["voltage"] * recording.channels["current"]
-            named[f"power_{name}_W"] = power[part]
-    return _thinned(**named)
-
-
-def _table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
-    header = (
-        "contact force",
-        "error before (mrad rms)",
-        "after",
-        "ratio",
-        "largest (mrad)",
-        "after",
-        "energy per cycle (J)",
-        "after",
-    )
-    rows = []
-    for before, after in pairs:
-        one, other = track(before, *_SPAN), track(after, *_SPAN)
-        rows.append(
-            (
-                _load(before),
-                *(number(1e3 * t.rms, 3) for t in (one, other)),
-                number(one.rms / other.rms, 3),
-                *(number(1e3 * t.largest, 3) for t in (one, other)),
-                *(number(t.energy / CYCLES, 4) for t in (one, other)),
-            )
-        )
-    return Table(header, tuple(rows), tuple(range(1, 8)))
-
-
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
 WEIGHT_KG = 30.6
 TRAVEL_DEG = {0.0: 8.0, WEIGHT_KG: 14.0}
@@ -492,8 +395,7 @@ def _uniform_data(study: UniformStudy) -> Rows:
 
 
 LOOP_BENCH, LOOP_SEQUENCE, LOOP_STAGE = "practical_hot", "hotfire", "flow"
-SETTLED = 0.02
-"""Relative deviation from the commanded flow up to which a flow counts as settled."""
+SETTLED = 0.02  # relative deviation from the commanded flow up to which a flow counts as settled
 _SMOOTHING_S = (
     0.05  # settling is judged on means over this time, so that sensor noise has little influence
 )
@@ -501,27 +403,16 @@ _SMOOTHING_S = (
 
 @dataclass(frozen=True)
 class Firing:
-    """The closed-loop stage of a hot firing; each array of shape (n,).
+    """The closed-loop stage of a hot firing; each array of shape (n,)."""
 
-    Attributes:
-        flow: Flow command of the stage.
-        period: Sampling period, s.
-        time: Time since the start of the stage, s.
-        flows: Commanded flow, and flow computed from pressure and angle, kg/s.
-        pressures: Commanded and measured pressure, Pa.
-        angles: Commanded and measured valve angle, rad.
-        current: Motor current, A.
-        force: Contact force, N.
-    """
-
-    flow: FlowSection
-    period: float
-    time: Array
-    flows: tuple[Array, Array]
-    pressures: tuple[Array, Array]
-    angles: tuple[Array, Array]
-    current: Array
-    force: Array
+    flow: FlowSection  # flow command of the stage
+    period: float  # sampling period, s
+    time: Array  # time since the start of the stage, s
+    flows: tuple[Array, Array]  # commanded flow, and flow computed from pressure and angle, kg/s
+    pressures: tuple[Array, Array]  # commanded and measured pressure, Pa
+    angles: tuple[Array, Array]  # commanded and measured valve angle, rad
+    current: Array  # motor current, A
+    force: Array  # contact force, N
 
 
 def fire(scratch: Path, seed: int) -> Firing:
@@ -634,47 +525,30 @@ def _settling(found: Firing) -> str:
     return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."
 
 
-PAPER_DEG_S = 50.0
-"""Opening speed in the paper, deg/s."""
-SLOW_DEG_S = 5.0
-"""Speed, deg/s: the pressure follows within 7 %, and the joint does not stick."""
+PAPER_DEG_S = 50.0  # opening speed in the paper, deg/s
+SLOW_DEG_S = 5.0  # speed, deg/s: the pressure follows within 7 %, and the joint does not stick
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
-STEADY = 0.05
-"""Relative deviation of the speed up to which the motion counts as uniform."""
-SMOOTHING_S = 0.020
-"""Time, s, over which the speed is computed from the joint encoder."""
+STEADY = 0.05  # relative deviation of the speed up to which the motion counts as uniform
+SMOOTHING_S = 0.020  # time, s, over which the speed is computed from the joint encoder
 REST_S = 0.2
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as measured by the sensors of the bench; arrays of shape (n,), from
-    the start of the motion.
+    """One opening of the valve as the bench's sensors measure it; arrays of shape (n,)."""
 
-    Attributes:
-        speed_deg_s: Commanded speed.
-        time: Time, s.
-        angle: Angle of the joint encoder, rad.
-        current: Mean current over each cycle, A.
-        pressure: Pressure by the transmitter, Pa.
-        area: Impacted area A_s at the angle, m^2.
-        steady_pressure: Steady pressure at that angle, Pa.
-        uniform: Samples at the commanded speed.
-        rank_pressure: Spearman's rank correlation of current and pressure over the samples in
-            ``uniform``.
-        rank_area: Spearman's rank correlation of current and area over the samples in ``uniform``.
-    """
-
-    speed_deg_s: float
-    time: Array
-    angle: Array
-    current: Array
-    pressure: Array
-    area: Array
-    steady_pressure: Array
-    uniform: NDArray[np.bool_]
+    speed_deg_s: float  # commanded speed
+    time: Array  # time, s
+    angle: Array  # angle of the joint encoder, rad
+    current: Array  # mean current over each cycle, A
+    pressure: Array  # pressure by the transmitter, Pa
+    area: Array  # impacted area A_s at the angle, m^2
+    steady_pressure: Array  # steady pressure at that angle, Pa
+    uniform: NDArray[np.bool_]  # samples at the commanded speed
+    # Spearman's rank correlation of current and pressure over the samples in `uniform`.
     rank_pressure: float
+    # Spearman's rank correlation of current and area over the samples in `uniform`.
     rank_area: float
 
     @property

@@ -48,8 +48,7 @@ RATE_HZ = 1000.0
 """Duration, s (one period of the command), and sample rate, Hz, which the paper does not state. The
 fitness sqrt(sum e^2) is the sum over all samples of this duration.
 """
-WRONG_BASIN_PERCENT = 20.0
-"""Largest error, %, of a parameter but J in the right basin."""
+WRONG_BASIN_PERCENT = 20.0  # largest error, %, of a parameter but J in the right basin
 
 
 @dataclass(frozen=True)
@@ -500,16 +499,10 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
         fig_2, fig_9 = figures.ramp_exhibits(
             *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, seed)
         )
-        progress("compensation: identifying the bench from a separate run", 0.25)
-        model = identified(figures.SINE_BENCH, scratch, seed, lambda what, share: None)
-        progress("compensation: the sine of both cases", 0.4)
-        compensation = figures.compensation_exhibit(
-            *figures.run_both(figures.SINE_BENCH, figures.SINE_SEQUENCE, scratch, model, seed)
-        )
         progress("eq. 14: uniform motion on two gain sets", 0.45)
         eq_14 = figures.uniform_exhibit(figures.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
         fig_4 = figures.sweep_exhibit(seed)
         progress("Fig. 5 and 11: the closed loop", 0.9)
         fig_11 = figures.loop_exhibit(scratch, seed)
-    return [fig_2, figures.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
+    return [fig_2, figures.valve_exhibit(), fig_4, fig_11, fig_9, eq_14]

@@ -38,12 +38,9 @@ MISSING = (
     "pip install 'loadrig[dask]'"
 )
 LOOPBACK = "127.0.0.1"
-AHEAD = 2
-"""Number of tasks per worker that the scheduler holds at once."""
-WAIT_S = 60.0
-"""Time, s, within which a scheduler must answer, and must have a worker."""
-IDLE = 3
-"""Number of periods of ``WAIT_S`` after which a cluster without workers ends the command."""
+AHEAD = 2  # number of tasks per worker that the scheduler holds at once
+WAIT_S = 60.0  # time, s, within which a scheduler must answer, and must have a worker
+IDLE = 3  # number of periods of `WAIT_S` after which a cluster without workers ends the command
 PACKAGES = ("loadrig", "numpy", "scipy", "numba", "mujoco")
 """Packages that must have the same version on all workers, or the results may differ."""
 OWN = ("rig", "drivers", "identification")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from identification.plots.mismatch import confusion_matrix, power_curve
+from identification.plots.mismatch import power_curve
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table, provenance_section
@@ -31,13 +31,6 @@ _RATES = {
     "worse_than_baseline": "held-out error greater than the nominal model's by more than the noise",
     "intervals": "parameters of effects within their interval",
 }
-_METHODS = {
-    **{key: _RATES[key] for key in ("top1", "alias_group", "top1_all", "both_named")},
-    "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
-    "false_alarms": _RATES["false_alarms"],
-    "outside_named": "outside the catalogue: an effect named",
-}
-_TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
 _PLACES = {
     "equation": "in the equation where the effect shows",
     "coordinate": "over the catalogue's coordinate",
@@ -58,7 +51,6 @@ def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Documen
 def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
     for cells in (
         _rates(result),
-        _methods(result),
         _places(result),
         _reliability(result),
         _wrong(result),
@@ -72,9 +64,8 @@ def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
 def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Section]:
     yield Section("", tuple(map(Note, _remarks(result))))
     yield Section("Rates", (_rates(result), *_power(result)))
-    yield Section("Against the baselines", (_methods(result),))
     yield Section("Location of the mismatch", (_places(result),))
-    yield Section("Injected and named effects", (_confusion(result), *_confused(result)))
+    yield Section("Injected and named effects", (_confusion(result),))
     yield Section("Confidence and share of right names", (_reliability(result),))
     yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
     if result["by_axis"]:
@@ -91,25 +82,6 @@ def shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Ta
 
 def _rates(result: Mapping[str, Any]) -> Table:
     return shares("what", result, _RATES)
-
-
-def _methods(result: Mapping[str, Any]) -> Table:
-    """Return the scores of the diagnosis and the baseline methods on the same trials."""
-    names = [m for m in _TITLES if m in result["methods"]]
-    rows = []
-    for key, words in _METHODS.items():
-        cells = [result["methods"][m][key] for m in names]
-        if cells[0]["of"]:
-            shares = [
-                f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})"
-                for c in cells
-            ]
-            rows.append((words, str(cells[0]["of"]), *shares))
-    return Table(
-        ("what", "trials", *(_TITLES[m] for m in names)),
-        tuple(rows),
-        tuple(range(1, 2 + len(names))),
-    )
 
 
 def _places(result: Mapping[str, Any]) -> Table:
@@ -219,12 +191,6 @@ def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
         }.items()
     }
     yield Picture.of("power", "Found and named against strength", power_curve(labels, curves))
-
-
-def _confused(result: Mapping[str, Any]) -> Iterator[Picture]:
-    if result["power"]:
-        matrix = confusion_matrix(result["confusion"])
-        yield Picture.of("confusion", "Names given to each injected effect", matrix)
 
 
 def _confusion(result: Mapping[str, Any]) -> Table:

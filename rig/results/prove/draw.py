@@ -176,25 +176,17 @@ joint or on the lever, so that the kind of load gives no information on the effe
 """
 
 Effects = dict[str, dict[str, float]]
-Assigned = tuple[Kind, tuple[str, ...]]
-"""Kind of a trial and the names of its effects."""
+Assigned = tuple[Kind, tuple[str, ...]]  # kind of a trial and the names of its effects
 
 
 class Rig(NamedTuple):
-    """Drawn data of one trial.
+    """Drawn data of one trial."""
 
-    Attributes:
-        kind: Number of effects, and whether the catalogue has them.
-        pauses_s: Time without power before each recording.
-        seed: Seed of the noise.
-        gravity: Whether the load is a weight fixed to the joint, without a lever.
-    """
-
-    kind: Kind
+    kind: Kind  # number of effects, and whether the catalogue has them
     machine: Machine
-    pauses_s: tuple[float, ...]
-    seed: int
-    gravity: bool = False
+    pauses_s: tuple[float, ...]  # time without power before each recording
+    seed: int  # seed of the noise
+    gravity: bool = False  # whether the load is a weight fixed to the joint, without a lever
 
 
 def assignment(

@@ -30,8 +30,7 @@ from rig.config.campaign import load_campaign
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-DEATHS = 3
-"""Number of workers that may die in a row, or on one task, without a result."""
+DEATHS = 3  # number of workers that may die in a row, or on one task, without a result
 
 
 class Engine(Protocol):
@@ -60,8 +59,7 @@ def died(what: str) -> InputError:
     )
 
 
-Files = Mapping[str, bytes]
-"""Contents of files by their paths relative to a folder, with slashes."""
+Files = Mapping[str, bytes]  # contents of files by their paths relative to a folder, with slashes
 
 
 class Bundle(NamedTuple):
@@ -108,9 +106,7 @@ def bundle(campaign: Path) -> Bundle:
 
 @contextmanager
 def unpacked(given: Path | Bundle) -> Iterator[Path]:
-    """Yield the path of a campaign file; the files of a bundle are first written into a temporary
-    folder.
-    """
+    """Yield the path of a campaign file; a bundle is first written into a temporary folder."""
     if isinstance(given, Path):
         yield given
         return
@@ -139,10 +135,8 @@ def _changed(record: Any, change: Callable[[str], str]) -> Any:
     return record
 
 
-ORPHANED = 1
-"""Exit status of a worker whose parent has died."""
-AHEAD = 2
-"""Number of tasks per worker that are submitted at once."""
+ORPHANED = 1  # exit status of a worker whose parent has died
+AHEAD = 2  # number of tasks per worker that are submitted at once
 
 
 class Processes(NamedTuple):
@@ -218,9 +212,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
-    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
-    end with the context.
-    """
+    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; workers end with it."""
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
         raise InputError(
             "--jobs, --cluster and --scheduler each choose an engine; give only one of these "

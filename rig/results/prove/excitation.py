@@ -40,18 +40,13 @@ NOTHING_FIXED = FixedWeight(0.0, 0.0, 0.0)
 
 
 class Experiment(NamedTuple):
-    """Plan of one recording.
-
-    Attributes:
-        weight_kg: Mass on the lever.
-        command: Joint angle sent in each cycle, rad, shape (n,).
-        fixed: Weight on the joint; on a bench without lever, present in every recording.
-    """
+    """Plan of one recording."""
 
     name: str
     role: Literal["fit", "validate"]
-    weight_kg: float
-    command: Array
+    weight_kg: float  # mass on the lever
+    command: Array  # joint angle sent in each cycle, rad, shape (n,)
+    # Weight on the joint; on a bench without lever, present in every recording.
     fixed: FixedWeight | None = None
 
 

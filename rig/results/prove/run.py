@@ -1,7 +1,6 @@
 """Runs a proof, of trials of this program or of rigs that other simulators have sealed.
 
-A proof of own trials seals every truth, shows the digests, then simulates, diagnoses, unseals and
-scores one trial after another. A proof of given rigs diagnoses all rigs before it opens a truth.
+Whoever sealed the rigs, all of them are diagnosed before the first truth is opened.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
-from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
+from rig.results.prove.draw import Assigned, assignment, draw
 from rig.results.prove.engine import (
     Bundle,
     Engine,
@@ -32,29 +31,17 @@ from rig.results.prove.engine import (
     write_folder,
 )
 from rig.results.prove.excitation import experiments
-from rig.results.prove.gas_simulate import gas_assignment, seal_gas, simulate_gas
 from rig.results.prove.judge import Judge, Judgement
 from rig.results.prove.score import REFUSED, VERSION, row_of
-from rig.results.prove.simulate import (
-    FLOOR_SUFFIX,
-    campaign,
-    reference_of,
-    simulate_rig,
-    strength,
-    truth_of,
-    write,
-)
+from rig.results.prove.simulate import campaign, reference_of, strength, truth_of, write
 from rig.results.prove.truth import (
     CAMPAIGN_FILE,
     SEALED,
     Sealed,
     Truth,
     place,
-    place_of_trial,
     random_salt,
-    repeated_salt,
     seal_truth,
-    sealed_content,
     unseal,
 )
 
@@ -96,7 +83,7 @@ def check_sums(home: Path) -> None:
 
 TIMES = "times"
 """Folder of a proof with date and durations of every trial, which differ if a proof is repeated."""
-FIELDS = ("created", "seconds", "baseline_seconds")
+FIELDS = ("created", "seconds")
 
 
 def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -113,59 +100,18 @@ def timed_row(out: Path, name: str) -> dict[str, Any]:
     return row | {key: spent.get(key, row.get(key, 0.0)) for key in FIELDS if key != "created"}
 
 
-Seed = Sequence[int]
-
-
-class Family(NamedTuple):
-    """Functions that make the trials of one proof.
-
-    Attributes:
-        assignment: Function of number of trials and seed; returns kind and effects of each trial.
-        seal: Function of folder, number, kind and effects, and seed; returns the sealed trial.
-        simulate: Function of sealed trial, kind and effects, and seed; writes the campaign and
-            returns the strength by channel.
-    """
-
-    assignment: Callable[[int, int], list[Assigned]]
-    seal: Callable[[Path, int, Assigned, Seed], Sealed]
-    simulate: Callable[[Sealed, Assigned, Seed], dict[str, float]]
-
-
-def _seal_motion(out: Path, number: int, assigned: Assigned, seed: Seed) -> Sealed:
-    truth = truth_of(draw(*assigned, seed))
-    return seal_truth(place_of_trial(out, number), number, truth, repeated_salt(*seed))
-
-
-def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str, float]:
-    return simulate_rig(where, draw(*assigned, seed))
-
-
-MOTION, GAS, INVESTIGATION = "motion", "gas", "investigation"
-ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in sizes)
-"""Effects that are in every run of a bench, not in one recording of a campaign alone."""
-_INVESTIGATED: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
-FAMILIES: Mapping[str, Family] = {
-    MOTION: Family(assignment, _seal_motion, _simulate_motion),
-    GAS: Family(gas_assignment, seal_gas, simulate_gas),
-    INVESTIGATION: Family(
-        partial(assignment, shares=_INVESTIGATED, single=ON_A_BENCH), _seal_motion, _simulate_motion
-    ),
-}
-
-
 PROOF_FILE = "proof.json"
 ROWS, DIAGNOSES, JUDGEMENTS = "rows", "diagnoses", "judgements"
-REPEATED = (PROOF_FILE, SEALED, DIAGNOSES, JUDGEMENTS, ROWS)
+REPEATED = (PROOF_FILE, DIAGNOSES, JUDGEMENTS, ROWS)
 """Files and folders of a proof whose bytes depend on the settings of the proof alone."""
 
 
 class Proof(NamedTuple):
-    """State of a proof; ``family`` is the one of own trials."""
+    """State of a proof."""
 
     out: Path
     seed: int
     rigs: tuple[Sealed, ...]
-    family: str = MOTION
 
     def file(self, folder: str, rig: Sealed) -> Path:
         """Return the path of the file of a rig in a folder of the proof."""
@@ -185,30 +131,9 @@ def _told(
         progress(f"{words(result)}, {done} of {of}", done / of)
 
 
-def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
-    """Seal all trials, or continue a proof that was begun in this folder with the same settings."""
-    settings = {"rigs": rigs, "seed": seed, "from": None, "family": family, "row_version": VERSION}
-    file = out / PROOF_FILE
-    if is_file(file):
-        begun = seals_begun(file, settings)
-        try:
-            rigs_begun = tuple(place_of_trial(out, int(n), digest) for n, digest in begun.items())
-        except ValueError as error:
-            raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
-        _make_folders(out)
-        return Proof(out, seed, rigs_begun, family)
-    _make_folders(out)
-    made = FAMILIES[family]
-    drawn = enumerate(made.assignment(rigs, seed), start=1)
-    seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
-    digests = {str(n): s.digest for n, s in enumerate(seals, start=1)}
-    write_json(file, {"settings": settings, "seals": digests})
-    return Proof(out, seed, seals, family)
-
-
-def _make_folders(out: Path, *more: str) -> None:
+def _make_folders(out: Path) -> None:
     """Make the folders of a proof, of which a copied or older proof may lack some."""
-    for name in (ROWS, DIAGNOSES, TIMES, *more):
+    for name in (ROWS, DIAGNOSES, TIMES, JUDGEMENTS):
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
@@ -228,105 +153,13 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     return seals
 
 
-class Trial(NamedTuple):
-    """One trial as it is sent to a worker.
-
-    Attributes:
-        assigned: Kind and effects.
-        sealed: Content of the sealed truth, which the worker writes to its disk, and reads, only
-            after the diagnosis.
-        truth: Path of the sealed truth where the proof was begun, for messages.
-        digest: SHA-256 of the sealed truth.
-    """
-
-    number: int
-    assigned: Assigned
-    sealed: bytes
-    truth: Path
-    digest: str
-
-
-class Proved(NamedTuple):
-    """Result of one trial as a worker returns it."""
-
-    number: int
-    diagnosis: Mapping[str, Any]
-    row: Mapping[str, Any]
-    times: Mapping[str, Any]
-    floor: Mapping[str, float]
-    files: Files
-
-
-def work(
-    proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Progress
-) -> list[dict[str, Any]]:
-    """Diagnose and score the trials that have no row yet; return all rows in order."""
-    assigned = FAMILIES[proof.family].assignment(len(proof.rigs), proof.seed)
-    todo = [
-        Trial(n, given, sealed_content(rig.truth), rig.truth, rig.digest)
-        for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
-        if not is_file(proof.file(ROWS, rig))
-    ]
-    one = partial(prove_trial, seed=proof.seed, family=proof.family, judge=judge, keep=keep)
-    results = engine.each(one, todo)
-    for proved in _told(
-        results, len(todo), len(proof.rigs), lambda p: f"trial {p.number} diagnosed", progress
-    ):
-        _store(proof, proved)
-    write_sums(proof.out, REPEATED)
-    return [timed_row(proof.out, rig.name) for rig in proof.rigs]
-
-
-def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) -> Proved:
-    """Simulate, diagnose, unseal and score one trial in a temporary folder.
-
-    The result depends on the arguments alone, except for its date and durations. The truth is
-    opened after the judgement.
-    """
-    with TemporaryDirectory(prefix="loadrig-") as scratch:
-        home = Path(scratch)
-        sealed = place_of_trial(home, trial.number, trial.digest)
-        sealed.truth.parent.mkdir()
-        strengths = FAMILIES[family].simulate(sealed, trial.assigned, (seed, trial.number))
-        beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
-        floor = read_json(beside) if is_file(beside) else {}
-        judgement = judge(sealed.campaign, diagnosis_seed(seed, trial.number))
-        sealed.truth.write_bytes(trial.sealed)
-        try:
-            truth = unseal(sealed.truth, sealed.digest).record(trial.number)
-        except InputError as error:
-            moved = (p.replace(str(sealed.truth), str(trial.truth)) for p in error.problems)
-            raise InputError(moved) from error
-        asked = truth["kind"] in ("one", "two")
-        oracle = judgement.oracle(list(truth["effects"])) if asked else None
-        names = [e.name for e in experiments()]
-        row = row_of(truth, strengths, judgement, oracle, sealed.digest, floor, names)
-        folder = sealed.campaign.parent
-        diagnosis, times = without_times(without_place(judgement.diagnosis, folder))
-        row, spent = without_times(row)
-        kept = read_folder(folder) if keep else {}
-    return Proved(trial.number, diagnosis, row, times | spent, floor, kept)
-
-
-def _store(proof: Proof, proved: Proved) -> None:
-    """Write the files of one trial; the row is written last, because it marks the trial as done."""
-    where = place_of_trial(proof.out, proved.number)
-    write_folder(where.campaign.parent, proved.files)
-    if proved.floor:
-        write_json(where.truth.with_suffix(FLOOR_SUFFIX), proved.floor)
-    write_json(proof.file(DIAGNOSES, where), proved.diagnosis)
-    write_json(proof.file(TIMES, where), proved.times)
-    write_json(proof.file(ROWS, where), proved.row)
-
-
 def diagnosis_seed(seed: int, number: int) -> int:
     """Return the seed of a diagnosis, from which no truth can be drawn again."""
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])
 
 
 SUFFIXES = (".yaml", ".yml", ".json")
-PREFIX = "rig-"
-"""Prefix of a rig's folder if its truth is named by a number."""
+PREFIX = "rig-"  # prefix of a rig's folder if its truth is named by a number
 
 
 def sealed_rigs(home: Path) -> list[Sealed]:
@@ -361,13 +194,10 @@ class Task(NamedTuple):
 
 
 class Made(NamedTuple):
-    """One rig that was made.
-
-    Attributes:
-        files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
-    """
+    """One rig that was made."""
 
     name: str
+    # Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
     files: Files
 
 
@@ -410,13 +240,20 @@ def _name(number: int) -> str:
     return f"{PREFIX}{number:04d}"
 
 
-def seal_own(home: Path, rigs: int, seed: int, engine: Engine, progress: Progress) -> list[Sealed]:
+def seal_own(
+    home: Path,
+    rigs: int,
+    seed: int,
+    engine: Engine,
+    progress: Progress,
+    salt: Callable[[int], str] = random_salt,
+) -> list[Sealed]:
     """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
 
     Trials that exist already are kept, so that a call that was stopped can be repeated.
     """
     drawn = list(enumerate(assignment(rigs, seed), start=1))
-    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)
+    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress, salt)
 
 
 def _seal(task: Task, seed: int) -> Made:
@@ -454,7 +291,7 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
                 f"{source}: the truths of {', '.join(changed)} are missing or were changed since "
                 f"this proof began; give --out another folder"
             )
-    _make_folders(out, JUDGEMENTS)
+    _make_folders(out)
     if not is_file(file):
         write_json(file, {"settings": settings, "seals": seals})
     return Proof(out, seed, tuple(given))
@@ -519,12 +356,8 @@ def diagnosed(task: ToDiagnose, judge: Judge) -> Diagnosed:
             trace = traceback.format_exc()
             judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
         diagnosis, times = without_times(without_place(judgement.diagnosis, campaign.parent))
-    beside = {
-        "baselines": {method: list(names) for method, names in judgement.baselines.items()},
-        "left": dict(judgement.left),
-    }
-    spent = {"seconds": judgement.seconds, "baseline_seconds": judgement.baseline_seconds}
-    return Diagnosed(task.name, diagnosis, beside, times | spent)
+    beside = {"left": dict(judgement.left)}
+    return Diagnosed(task.name, diagnosis, beside, times | {"seconds": judgement.seconds})
 
 
 def _refusal(message: str, trace: str = "") -> Judgement:
@@ -541,7 +374,7 @@ def _refusal(message: str, trace: str = "") -> Judgement:
         "parameter_shift": {},
         "p_value": None,
     }
-    return Judgement(record, {}, lambda _names: None, 0.0, 0.0)
+    return Judgement(record, 0.0)
 
 
 def score_all(
@@ -566,17 +399,13 @@ def score_all(
 
 
 class ToScore(NamedTuple):
-    """One rig to score.
-
-    Attributes:
-        campaign: Campaign of the rig if the true structure is fitted to it, else None.
-        names: True effects of the rig.
-        reference: Campaign of the rig without its effects, or None if there is none.
-    """
+    """One rig to score."""
 
     name: str
+    # Campaign of the rig if the true structure is fitted to it, else None.
     campaign: Path | Bundle | None
-    names: Sequence[str]
+    names: Sequence[str]  # true effects of the rig
+    # Campaign of the rig without its effects, or None if there is none.
     reference: Path | Bundle | None
 
 
@@ -619,9 +448,7 @@ def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
     diagnosis["effects"] = [e for e in diagnosis["effects"] if e["name"] not in excused]
     if excused and not diagnosis["effects"] and diagnosis["verdict"] in ("named", "ambiguous"):
         diagnosis["verdict"] = "nothing_missing"
-    judgement = Judgement(
-        diagnosis, beside["baselines"], lambda _names: None, 0.0, 0.0, beside["left"]
-    )
+    judgement = Judgement(diagnosis, 0.0, beside["left"])
     floor = truth.floor if fits.floor is None else fits.floor
     names, recorded = truth.record(rig.name), _recordings(rig.campaign)
     row = row_of(names, truth.strength, judgement, fits.oracle, rig.digest, floor, recorded)

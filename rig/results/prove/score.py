@@ -33,8 +33,7 @@ LIKE: Mapping[str, frozenset[str]] = {
 speed and torque give the direction of motion and of the current, torque rises with the load, the
 machine warms up with time, and the torque changes most with the acceleration and after reversals.
 """
-REFUSED = "refused"
-"""Verdict of a trial that could not be diagnosed."""
+REFUSED = "refused"  # verdict of a trial that could not be diagnosed
 
 
 def located(
@@ -79,15 +78,12 @@ def located(
     }
 
 
-CONFIDENT = 0.9
-"""Confidence of a name outside the catalogue above which it is a gross error."""
+CONFIDENT = 0.9  # confidence of a name outside the catalogue above which it is a gross error
 MOST_NAMED = 3
 """Number of a baseline's effects that count for two injected; a diagnosis names as many."""
-WORTH = 0.05
-"""Least gain of the oracle, over the noise, for which the diagnosis is compared."""
+WORTH = 0.05  # least gain of the oracle, over the noise, for which the diagnosis is compared
 FAINT = 1e-12
-NAMED = ("name", "alias_group", "confidence")
-"""Values of an identified effect that a row holds."""
+NAMED = ("name", "alias_group", "confidence")  # values of an identified effect that a row holds
 VERSION = 7
 """Version of the rows and recordings; a proof that began with another version is not continued."""
 
@@ -135,10 +131,6 @@ def row_of(
         "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
         "probability": _probability(names, found) if kind in ("one", "two") else None,
-        "baselines": {
-            method: {"named": list(said), **_hits(kind, names, [(name,) for name in said])}
-            for method, said in judgement.baselines.items()
-        },
         "location": _location(truth, diagnosis, recordings),
         "parameters": _parameters(truth["effects"], found),
         "nominal": _nominal(truth["parameters"], diagnosis),
@@ -146,7 +138,6 @@ def row_of(
         "oracle": None if oracle is None else dict(oracle),
         "oracle_fraction": None if oracle is None else _oracle_fraction(oracle, diagnosis["fits"]),
         "seconds": judgement.seconds,
-        "baseline_seconds": judgement.baseline_seconds,
     }
 
 
@@ -161,7 +152,7 @@ def _location(
 
 
 def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
-    """Score effects, each with its alias group, by the same rules for every method."""
+    """Score effects, each with its alias group."""
     alarm = {"alarm": bool(said), "top1": None, "alias": None, "exact": None}
     if kind not in ("one", "two"):
         return alarm
@@ -266,12 +257,9 @@ def rate(hits: float, of: int) -> dict[str, Any]:
     return {"n": hits, "of": of, "share": hits / of if of else None, "low": low, "high": high}
 
 
-BINS = 10
-"""Number of bins of confidence between 0 and 1."""
-PARTS = 3
-"""Number of parts with equally many values into which a numeric axis is divided."""
-FEW = 5
-"""Number of different values of a numeric axis up to which each value is a part of its own."""
+BINS = 10  # number of bins of confidence between 0 and 1
+PARTS = 3  # number of parts with equally many values into which a numeric axis is divided
+FEW = 5  # number of different values of a numeric axis up to which each value is a part of its own
 
 
 def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -357,14 +345,11 @@ def _parts(pairs: Sequence[tuple[Any, Row]]) -> Iterator[dict[str, Any]]:
         yield {"value": label, "right": rate(sum(map(right, mine)), len(mine)), "refused": refused}
 
 
-PROVE_SCHEMA = "loadrig.prove/3"
+PROVE_SCHEMA = "loadrig.prove/4"
 RESULT_FILE = "prove.json"
-STRONG = 3.0
-"""Least strength of an effect that must be identified: rms change over noise."""
+STRONG = 3.0  # least strength of an effect that must be identified: rms change over noise
 TORQUE = "current"
 """Channel in which the torque of an effect is measured: the motor current during motion."""
-NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}
-"""Score that a baseline method gets on a trial that could not be diagnosed."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
@@ -420,7 +405,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
             **count(placed, "right"),
             "named_confidently": sum(bool(row["confident"]) for row in outside),
         },
-        "methods": methods(rows),
         "location": location(strong),
         "location_f1": location_f1(strong, nothing),
         "probability": rate(sum(row["probability"] for row in strong), len(strong)),
@@ -432,9 +416,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "intervals": rate(sum(inside), len(inside)),
         "most_frequent_class": _most_frequent(one),
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
-        "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows)
-        if rows
-        else None,
     }
 
 
@@ -443,42 +424,6 @@ def _beside(row: Row) -> float:
     return (
         0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
     )
-
-
-def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return the scores of the diagnosis and of each baseline method on the same trials.
-
-    The alias group of a baseline method's effect is the effect alone. ``outside_named`` counts
-    trials outside the catalogue on which an effect was identified; ``exact`` counts trials of the
-    catalogue with no wrong and no missing effect.
-    """
-    said = {"diagnosis": [{**row, "named_any": bool(row["named"])} for row in rows]}
-    for method in sorted({m for row in rows for m in row["baselines"]}):
-        said[method] = [
-            {
-                "kind": row["kind"],
-                "strength": row["strength"],
-                "named_any": bool(row["baselines"].get(method, NONE)["named"]),
-                **row["baselines"].get(method, NONE),
-            }
-            for row in rows
-        ]
-    return {method: _method(mine) for method, mine in said.items()}
-
-
-def _method(rows: Sequence[Row]) -> dict[str, Any]:
-    def of(kind: str, least: float = 0.0) -> list[Row]:
-        return [row for row in rows if row["kind"] == kind and row["strength"] >= least]
-
-    return {
-        "top1": count(of("one", STRONG), "top1"),
-        "alias_group": count(of("one", STRONG), "alias"),
-        "top1_all": count(of("one"), "top1"),
-        "both_named": count(of("two", STRONG), "top1"),
-        "exact": count([*of("one", STRONG), *of("two", STRONG)], "exact"),
-        "false_alarms": count(of("nothing"), "alarm"),
-        "outside_named": count(of("outside"), "named_any"),
-    }
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,23 +17,15 @@ from drivers.mock.without_bus import Samples, record
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
-from rig.common.places import replacing, write_json, write_text
+from rig.common.places import replacing, write_text
 from rig.results.prove.draw import Rig
-from rig.results.prove.excitation import (
-    CYCLE_S,
-    NOTHING_FIXED,
-    Array,
-    Experiment,
-    FixedWeight,
-    experiments,
-)
-from rig.results.prove.truth import CAMPAIGN_FILE, Sealed
+from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment, FixedWeight
+from rig.results.prove.truth import CAMPAIGN_FILE
 from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 MOVING_RAD_S = 0.02
-SETTLE_S = 0.5
-"""Time under power before each recording, s."""
+SETTLE_S = 0.5  # time under power before each recording, s
 CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "temperature")
 
 
@@ -180,10 +171,6 @@ def _gravity(fixed: FixedWeight | None) -> dict[str, Any]:
     return {"gravity": {"mass": fixed.mass_kg, "length": fixed.length_m, "zero": fixed.zero_rad}}
 
 
-FLOOR_SUFFIX = ".floor.json"
-"""Suffix of the file with the noise floors of a trial's reference simulation."""
-
-
 def residual_rms(joint: Joint) -> dict[str, float]:
     """Return the residual of a fit in each equation, in the equation's unit."""
     out = {}
@@ -193,18 +180,8 @@ def residual_rms(joint: Joint) -> dict[str, float]:
     return out
 
 
-def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
-    """Return the nominal model's residual on a reference simulation without effects; empty if the
-    model cannot be fitted.
-    """
-    with TemporaryDirectory() as folder:
-        return floors_of(write(Path(folder), machine, reference, packed=False))
-
-
 def floors_of(campaign: Path) -> dict[str, float]:
-    """Return the nominal model's residual on the campaign of a trial without effects; empty if the
-    model cannot be fitted.
-    """
+    """Return the nominal model's residual on a campaign without effects; empty if not fitted."""
     dataset, bandwidth, _ = choose(load_source(campaign), None)
     try:
         _, joint = views_and_fit(dataset, bandwidth)
@@ -247,18 +224,3 @@ def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[st
     if "load_swing" in out:
         out["load_swing"]["fraction"] *= math.exp(-SETTLE_S / out["load_swing"]["decay_s"])
     return out
-
-
-def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
-    """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
-
-    The noise floors of the trial's reference simulation are written next to its truth.
-    """
-    plan = experiments(rig.gravity)
-    recorded = campaign(rig, plan)
-    write(where.campaign.parent, rig.machine, recorded)
-    if not rig.machine.effects:
-        return {}
-    reference = reference_of(rig, plan)
-    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, reference))
-    return strength(recorded, reference)

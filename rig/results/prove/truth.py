@@ -142,22 +142,16 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
 
 
 CAMPAIGN_FILE = "campaign.yaml"
-SEALED = "sealed"
-"""Folder of the truths."""
+SEALED = "sealed"  # folder of the truths
 
 
 class Sealed(NamedTuple):
-    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated.
-
-    Attributes:
-        name: Name of the rig; that of a trial of this program is its number, from 0001.
-        digest: SHA-256 of the truth's file.
-    """
+    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated."""
 
     name: str
     campaign: Path
     truth: Path
-    digest: str = ""
+    digest: str = ""  # SHA-256 of the truth's file
 
     @property
     def reference(self) -> Path:
@@ -170,13 +164,6 @@ def place(home: Path, name: str) -> Sealed:
     return Sealed(name, home / name / CAMPAIGN_FILE, home / SEALED / f"{name}.json")
 
 
-def place_of_trial(out: Path, number: int, digest: str = "") -> Sealed:
-    """Return the files of a trial of this program in the folder of its proof."""
-    name = f"{number:04d}"
-    campaign = out / f"rig-{name}" / CAMPAIGN_FILE
-    return Sealed(name, campaign, out / SEALED / f"{name}.json", digest)
-
-
 def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
     """Write and seal the truth of one rig; return the rig with its digest."""
     where.truth.parent.mkdir(parents=True, exist_ok=True)
@@ -184,8 +171,7 @@ def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: st
     return where._replace(digest=seal(where.truth, content, salt))
 
 
-_SALT = 2
-"""Separates the draws of salts from those of trials and diagnoses."""
+_SALT = 2  # separates the draws of salts from those of trials and diagnoses
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
@@ -212,7 +198,14 @@ def random_salt(_number: int = 0) -> str:
 
 def unseal(path: Path, digest: str) -> Truth:
     """Read a truth, and check it against the digest that was shown."""
-    content = sealed_content(path)
+    try:
+        content = read_bytes(path)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path}: the sealed truth is missing; generate the blind trials again"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     found = sha256(content)
     if found != digest:
         raise InputError(
@@ -220,15 +213,3 @@ def unseal(path: Path, digest: str) -> Truth:
             f"discard this trial"
         )
     return load_truth(path)
-
-
-def sealed_content(path: Path) -> bytes:
-    """Return the content of a sealed truth as bytes, without parsing it."""
-    try:
-        return read_bytes(path)
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{path}: the sealed truth is missing; generate the blind trials again"
-        ) from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error

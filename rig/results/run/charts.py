@@ -35,8 +35,7 @@ from rig.results.run.recorded import (
 )
 from rig.runs.run_record import RunRecord
 
-BEFORE_S = 2.0
-"""Time shown before the end of an unfinished run, s."""
+BEFORE_S = 2.0  # time shown before the end of an unfinished run, s
 _AFTER_SHARE = 0.12
 """Shortest time that is shown after the end, as a share of the time before the end."""
 _CLOSE_S = (0.08, 0.04)
@@ -44,35 +43,25 @@ _CLOSE_S = (0.08, 0.04)
 NEVER_MOVED = "No control cycle was recorded: the drive was never under power, and nothing moved."
 HOST, SIMULATED = "host time", "simulated time"
 DEG = math.degrees(1.0)
-_SEEN = 10.0
-"""Ratio of a limit to the greatest value up to which the limit is drawn."""
+_SEEN = 10.0  # ratio of a limit to the greatest value up to which the limit is drawn
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One chart of a run: its channels, and its upper and lower limit in SI units, if any.
-
-    Attributes:
-        scale: Factor from the SI unit to ``unit``.
-        channels: Names of the curves by their columns; the limits are those of the first curve.
-        checks: Checks whose trips the chart shows.
-        upper: Upper limit.
-        lower: Lower limit; with ``symmetric``, the upper limit with its sign changed.
-        symmetric: Whether the limit is on the magnitude.
-        categories: Names of the values if they are categories.
-        least: Smallest range of the value axis, in ``unit``.
-    """
+    """One chart of a run: its channels, and its upper and lower limit in SI units, if any."""
 
     title: str
     unit: str
-    scale: float
+    scale: float  # factor from the SI unit to `unit`
+    # Names of the curves by their columns; the limits are those of the first curve.
     channels: Mapping[str, str]
-    checks: tuple[Check, ...] = ()
-    upper: Callable[[Limits], float | None] = lambda limits: None
+    checks: tuple[Check, ...] = ()  # checks whose trips the chart shows
+    upper: Callable[[Limits], float | None] = lambda limits: None  # upper limit
+    # Lower limit; with `symmetric`, the upper limit with its sign changed.
     lower: Callable[[Limits], float | None] = lambda limits: None
-    symmetric: bool = False
-    categories: tuple[str, ...] = ()
-    least: float = 0.0
+    symmetric: bool = False  # whether the limit is on the magnitude
+    categories: tuple[str, ...] = ()  # names of the values if they are categories
+    least: float = 0.0  # smallest range of the value axis, in `unit`
 
 
 # fmt: off
@@ -160,23 +149,14 @@ Limit = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True)
 class Chart:
-    """One chart of a time interval.
+    """One chart of a time interval."""
 
-    Attributes:
-        panel: Channels and unit; the channels without values are left out.
-        series: Values.
-        limits: Drawn limits.
-        reading: Text with extremes and limits.
-        beyond: Whether a limit was broken.
-        tall: Whether it is the most important chart, drawn taller.
-    """
-
-    panel: Panel
-    series: Series
-    limits: Sequence[Limit] = ()
-    reading: str = ""
-    beyond: bool = False
-    tall: bool = False
+    panel: Panel  # channels and unit; the channels without values are left out
+    series: Series  # values
+    limits: Sequence[Limit] = ()  # drawn limits
+    reading: str = ""  # text with extremes and limits
+    beyond: bool = False  # whether a limit was broken
+    tall: bool = False  # whether it is the most important chart, drawn taller
 
     @property
     def range(self) -> tuple[float, float]:
@@ -373,19 +353,12 @@ class Shade:
 
 @dataclass(frozen=True)
 class Frame:
-    """What the charts of one section have in common.
+    """What the charts of one section have in common."""
 
-    Attributes:
-        axis: Time axis.
-        clock: Name of the clock.
-        shades: Shaded phases.
-        mark: Time, s, and name of a marked moment, or None.
-    """
-
-    axis: TimeAxis
-    clock: str
-    shades: Sequence[Shade] = ()
-    mark: tuple[float, str] | None = None
+    axis: TimeAxis  # time axis
+    clock: str  # name of the clock
+    shades: Sequence[Shade] = ()  # shaded phases
+    mark: tuple[float, str] | None = None  # time, s, and name of a marked moment, or None
 
     def record(self) -> dict[str, Any]:
         """Return the data of the frame for the page; times are places on the axis, 0 to 1."""

@@ -51,8 +51,8 @@ def _describe_acceptance(limits: Sequence[Limit], source: str) -> str:
     if not limits:
         return NOT_JUDGED
     head = (
-        f"acceptance: when all stages are done, the run is judged by {len(limits)} "
-        f"{'limit' if len(limits) == 1 else 'limits'} of {source}"
+        f"acceptance: when all stages are done, the run is judged by its completeness and "
+        f"{len(limits)} {'limit' if len(limits) == 1 else 'limits'} of {source}"
     )
     rows = [list(row) for row in _acceptance_rows(limits)]
     return f"{head}\n{table(['acceptance limit', 'permitted', 'unit'], rows)}"
@@ -67,8 +67,7 @@ def acceptance_record(limits: Sequence[Limit]) -> list[dict[str, Any]]:
 
 
 SCHEMA = "loadrig.dry_run/1"
-PROMPT_S = 60.0
-"""Assumed time for hanging a weight and answering the prompt, s."""
+PROMPT_S = 60.0  # assumed time for hanging a weight and answering the prompt, s
 NOT_PREDICTED = (
     "The peaks do not contain the torque that the drive's loops add when the joint breaks "
     "away, or sticks and slips; on the simulated benches this is up to a fifth."
@@ -77,18 +76,12 @@ NOT_PREDICTED = (
 
 @dataclass(frozen=True)
 class Duration:
-    """Expected duration of a run.
+    """Expected duration of a run."""
 
-    Attributes:
-        under_power_s: Time under power, in motion and at rest, s.
-        moves_s: Time of the moves to the starts of the excitations, s; the first move is from
-            0 deg.
-        prompts: Number of prompts that an operator must answer.
-    """
-
-    under_power_s: float
+    under_power_s: float  # time under power, in motion and at rest, s
+    # Time of the moves to the starts of the excitations, s; the first move is from 0 deg.
     moves_s: float
-    prompts: int
+    prompts: int  # number of prompts that an operator must answer
 
     @property
     def total_s(self) -> float:

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any, Final
 
+from drivers.errors import CORRECT_MACHINE
 from drivers.interfaces import ServoState
 from rig.common.provenance import sha256_file
 from rig.control.safety import Check, foreseen, remedy
@@ -18,8 +19,8 @@ NOT_READ_BACK = (
     "weights or the joint before it rests"
 )
 NEW_RUN = (
-    "if a remedy changes the bench or sequence file, start a new run: a run can continue only "
-    "with unchanged files"
+    "if a remedy changes the bench file, the sequence file or the file of the machine, start a new "
+    "run: a run can continue only with unchanged files"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
 _BY_FILE = frozenset(
@@ -42,7 +43,8 @@ def first_words(record: RunRecord) -> list[str]:
 
 def go_on_notes(record: RunRecord) -> list[str]:
     """Return further notes on continuing the run."""
-    return [NEW_RUN] if foreseen(record.trip or {}) or _tripped(record) in _BY_FILE else []
+    by_file = foreseen(record.trip or {}) or _tripped(record) in _BY_FILE
+    return [NEW_RUN] if by_file or CORRECT_MACHINE in record.message else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
@@ -78,7 +80,7 @@ def _tripped(record: RunRecord) -> Check | None:
 
 
 ACCEPTANCE_FILE: Final = "acceptance.json"
-CERTIFICATE_PAGE, CERTIFICATE_PDF = "certificate.html", "certificate.pdf"
+CERTIFICATE_PAGE = "certificate.html"
 _VERDICTS: Final = frozenset({"accepted", "rejected"})
 
 
@@ -101,7 +103,7 @@ def read_verdict(folder: Path) -> dict[str, Any] | None:
             "verdict": found["verdict"],
             "checks": len(found["checks"]),
             "failed": [f"{c['limit']}: {c['words']}" for c in found["checks"] if not c["passed"]],
-            "pages": [p for p in (CERTIFICATE_PAGE, CERTIFICATE_PDF) if (folder / p).is_file()],
+            "pages": [CERTIFICATE_PAGE] if (folder / CERTIFICATE_PAGE).is_file() else [],
         }
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -83,8 +83,7 @@ STATES = ("off", "fault", "quick stop", "enabled")
 ENABLED = float(STATES.index("enabled"))
 PAUSES = frozenset({"stage end", "stage start", "units", "weight check"})
 """Events after which the cycle rests or restarts: the next step is no lateness."""
-_GAP_CYCLES = 10.0
-"""Number of consecutive missing cycles from which on the curve is interrupted."""
+_GAP_CYCLES = 10.0  # number of consecutive missing cycles from which on the curve is interrupted
 _CODES: Mapping[ServoState, str] = {
     ServoState.OPERATION_ENABLED: "enabled",
     ServoState.QUICK_STOP_ACTIVE: "quick stop",
@@ -104,19 +103,12 @@ _STATE = np.array([_code(word) for word in range(RUNNING_MASK + 1)])
 
 
 class Derived(NamedTuple):
-    """Plotted channels of consecutive samples.
+    """Plotted channels of consecutive samples."""
 
-    Attributes:
-        time: Time, s, shape (n,).
-        values: Columns in the order of :data:`NAMES`, shape (n, 20).
-        broken: Whether cycles are missing before a sample, or the drive was off.
-        segment: Number of the excitation, 0 for none.
-    """
-
-    time: Array
-    values: Array
-    broken: Flags
-    segment: Array
+    time: Array  # time, s, shape (n,)
+    values: Array  # columns in the order of `NAMES`, shape (n, 20)
+    broken: Flags  # whether cycles are missing before a sample, or the drive was off
+    segment: Array  # number of the excitation, 0 for none
 
 
 @dataclass
@@ -130,18 +122,15 @@ class _Carried:
 
 
 class Deriver:
-    """Function that derives the plotted channels of consecutive blocks of samples.
-
-    Attributes:
-        starts: Time, s, and command, rad, of the first sample of each stage under power.
-        powered: Start and end of each time under power up to now, s.
-    """
+    """Function that derives the plotted channels of consecutive blocks of samples."""
 
     def __init__(self, bench: Constants, cycle_s: float) -> None:
         self._bench = bench
         self._cycle_s = cycle_s
         self._carried = _Carried()
+        # Time, s, and command, rad, of the first sample of each stage under power.
         self.starts: list[tuple[float, float]] = []
+        # Start and end of each time under power up to now, s.
         self.powered: list[tuple[float, float]] = []
 
     def __call__(
@@ -238,27 +227,20 @@ def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
     return values - zero, float(zero[-1])
 
 
-TAIL_S = 8.0
-"""Time at the end of a recording that is kept sample by sample, s; braking takes 1 s."""
+TAIL_S = 8.0  # time at the end of a recording that is kept sample by sample, s; braking takes 1 s
 COLUMNS = 1000
 """Number of columns for which a recording is reduced: one or two intervals of time a column."""
 
 
 class Series(NamedTuple):
-    """Least and greatest values of every channel over intervals of time, or single samples.
+    """Least and greatest values of every channel over intervals of time, or single samples."""
 
-    Attributes:
-        time: Middle of each interval, s, shape (n,).
-        low: Least values in the order of :data:`NAMES`, shape (20, n); NaN where nothing was
-            recorded, so that no line is drawn across.
-        high: Greatest values, in the form of ``low``.
-        width_s: Length of an interval, s; 0 for samples.
-    """
-
-    time: Array
+    time: Array  # middle of each interval, s, shape (n,)
+    # Least values in the order of `NAMES`, shape (20, n); NaN where nothing was recorded, so that
+    # no line is drawn across.
     low: Array
-    high: Array
-    width_s: float = 0.0
+    high: Array  # greatest values, in the form of `low`
+    width_s: float = 0.0  # length of an interval, s; 0 for samples
 
     def extremes(self, name: str) -> tuple[float, float]:
         """Return the least and the greatest value of a channel; NaN without values."""
@@ -268,28 +250,20 @@ class Series(NamedTuple):
 
 @dataclass
 class Traces:
-    """Content of a recording for plotting.
+    """Content of a recording for plotting."""
 
-    Attributes:
-        reduced: All samples, reduced, or None if no cycle was recorded.
-        tail: The last :data:`TAIL_S` of the recording, sample by sample, or None if no cycle was
-            recorded.
-        powered: Start and end of each time under power, s; requires samples.
-        events: Events in order; each has ``time`` and ``event``.
-        attachments: Name to content.
-        starts: Time, s, and command, rad, of the first sample of each stage under power.
-        count: Number of samples.
-        damage: None for a complete file, else a message on the damage.
-    """
-
-    reduced: Series | None = None
+    reduced: Series | None = None  # all samples, reduced, or None if no cycle was recorded
+    # The last `TAIL_S` of the recording, sample by sample, or None if no cycle was recorded.
     tail: Derived | None = None
+    # Start and end of each time under power, s; requires samples.
     powered: list[tuple[float, float]] = field(default_factory=list)
+    # Events in order; each has `time` and `event`.
     events: list[Mapping[str, Any]] = field(default_factory=list)
-    attachments: dict[str, bytes] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)  # name to content
+    # Time, s, and command, rad, of the first sample of each stage under power.
     starts: list[tuple[float, float]] = field(default_factory=list)
-    count: int = 0
-    damage: str | None = None
+    count: int = 0  # number of samples
+    damage: str | None = None  # none for a complete file, else a message on the damage
 
     @property
     def end_s(self) -> float:
@@ -378,27 +352,19 @@ def _reduced(decimation: Decimation, powered: Sequence[tuple[float, float]]) -> 
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
 """Events that end a first pass; without one its limits hold to the end."""
-RUN_ATTACHMENT = "run.json"
-"""Name of the attached record of a run, as the record was at the start."""
-_SAME = 1e-9
-"""Relative difference up to which two amplitudes count as equal."""
+RUN_ATTACHMENT = "run.json"  # name of the attached record of a run, as the record was at the start
+_SAME = 1e-9  # relative difference up to which two amplitudes count as equal
 
 
 @dataclass(frozen=True)
 class Attachments:
-    """Content of the files attached to a recording.
+    """Content of the files attached to a recording."""
 
-    Attributes:
-        bench: The bench, with the limits in force, or None if its file is missing or cannot be
-            read.
-        plan: The plan, with the first passes of each stage, or None if a file is missing or cannot
-            be read.
-        problem: The reason why ``bench`` or ``plan`` is None.
-    """
-
+    # The bench, with the limits in force, or None if its file is missing or cannot be read.
     bench: Bench | None
+    # The plan, with the first passes of each stage, or None if a file is missing or cannot be read.
     plan: Plan | None
-    problem: str = ""
+    problem: str = ""  # the reason why `bench` or `plan` is None
 
 
 def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
@@ -439,8 +405,7 @@ def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema])
     return validated(Path(name), root, schema)
 
 
-Step = tuple[float, Limits]
-"""Start time, s, and the limits from this time on."""
+Step = tuple[float, Limits]  # start time, s, and the limits from this time on
 
 
 def limit_steps(

@@ -93,19 +93,13 @@ class Constant:
 
 @dataclass(frozen=True)
 class Details:
-    """The properties of a run that a comparison uses.
+    """The properties of a run that a comparison uses."""
 
-    Attributes:
-        constants: Identified parameters by name.
-        fit_rms: Torque error of the identification, or None if unknown.
-        motion: `rotary` or `linear`.
-        devices: Identity (name and serial number) of the devices by role.
-    """
-
-    constants: Mapping[str, Constant] = field(default_factory=dict)
-    fit_rms: float | None = None
+    constants: Mapping[str, Constant] = field(default_factory=dict)  # identified parameters by name
+    fit_rms: float | None = None  # torque error of the identification, or None if unknown
     fit_unit: str = ""
-    motion: str = ""
+    motion: str = ""  # `rotary` or `linear`
+    # Identity (name and serial number) of the devices by role.
     devices: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -152,31 +146,20 @@ VERDICTS = (
     "unreadable",
 )
 """Verdicts by which runs can be chosen."""
-_SAME_MASS = 1e-3
-"""Relative difference up to which two masses count as equal."""
+_SAME_MASS = 1e-3  # relative difference up to which two masses count as equal
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Properties of the requested runs; None accepts every value of a property.
+    """Properties of the requested runs; None accepts every value of a property."""
 
-    Attributes:
-        bench: Name of the bench, or a pattern with `*` and `?`.
-        sequence: Name of the sequence, or a pattern.
-        operator: Name of an operator, or a pattern.
-        weight_kg: A mass that was on the lever; 0 for the empty lever.
-        verdict: One of :data:`VERDICTS`.
-        since: Earliest start time.
-        until: Time before which the run must have started.
-    """
-
-    bench: str | None = None
-    sequence: str | None = None
-    operator: str | None = None
-    weight_kg: float | None = None
-    verdict: str | None = None
-    since: datetime | None = None
-    until: datetime | None = None
+    bench: str | None = None  # name of the bench, or a pattern with `*` and `?`
+    sequence: str | None = None  # name of the sequence, or a pattern
+    operator: str | None = None  # name of an operator, or a pattern
+    weight_kg: float | None = None  # a mass that was on the lever; 0 for the empty lever
+    verdict: str | None = None  # one of `VERDICTS`
+    since: datetime | None = None  # earliest start time
+    until: datetime | None = None  # time before which the run must have started
 
     def fits(self, root: Path, entry: Entry) -> bool:
         """Return whether a run has the wanted properties; an unknown one does not fit."""

@@ -29,8 +29,7 @@ RUN_JSON, RECORDING = "run.json", "recording.mcap"
 COMMISSION_JSON = "commission.json"
 RESULTS = ("identify.json", "diagnosis/diagnose.json", "acceptance.json")
 """Result files of a run folder whose verdicts are listed."""
-MOST_DEEP = 8
-"""Number of folder levels below the searched folder that are searched for runs."""
+MOST_DEEP = 8  # number of folder levels below the searched folder that are searched for runs
 
 
 class Found(NamedTuple):
@@ -98,8 +97,7 @@ def _stamp(path: str) -> str:
 
 INDEX_FILE = ".runs.index"
 """Name of the index in the searched folder: a checksum, and the rows as JSON."""
-_FORMAT = 4
-"""Format of the rows; the checksum begins with it, so that other formats are not used."""
+_FORMAT = 4  # format of the rows; the checksum begins with it, so that other formats are not used
 
 
 class _Row(NamedTuple):
@@ -184,8 +182,7 @@ def _store(root: Path, file: Path, rows: Iterable[_Row]) -> str:
 
 
 IDENTIFY, DIAGNOSE, ACCEPTANCE = RESULTS
-ROLES = ("servo", "encoder", "pressure")
-"""Roles of the devices of a bench."""
+ROLES = ("servo", "encoder", "pressure")  # roles of the devices of a bench
 _DIAGNOSE_SCHEMA, _ACCEPTANCE_SCHEMA = "loadrig.diagnose/1", "loadrig.acceptance/1"
 _TEXTS = {"sequence": "name", "created": "created", "state": "state", "message": "message"}
 

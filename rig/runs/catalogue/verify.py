@@ -35,19 +35,13 @@ class Finding(Enum):
 
 @dataclass(frozen=True)
 class Verified:
-    """One file and the result of its comparison.
-
-    Attributes:
-        sha256: Present digest; empty for a missing file.
-        recorded: Recorded digest; empty if no digest was recorded.
-        by: File with the recorded digest; empty if no digest was recorded.
-    """
+    """One file and the result of its comparison."""
 
     file: str
     finding: Finding
-    sha256: str = ""
-    recorded: str = ""
-    by: str = ""
+    sha256: str = ""  # present digest; empty for a missing file
+    recorded: str = ""  # recorded digest; empty if no digest was recorded
+    by: str = ""  # file with the recorded digest; empty if no digest was recorded
     words: str = ""
 
 

@@ -31,8 +31,7 @@ from rig.runs.mcap.layout import (
 )
 from rig.runs.mcap.writer import FOOTER_START, MAGIC, MESSAGE
 
-HEADER = struct.Struct("<BQ")
-"""Header of every record: opcode and length."""
+HEADER = struct.Struct("<BQ")  # header of every record: opcode and length
 _CHUNK = struct.Struct("<QQQI")
 MAX_CHUNK = 1 << 28
 OPCODES = frozenset(map(int, Opcode))
@@ -144,8 +143,7 @@ def chunk(content: bytes) -> bytes:
 
 
 _DATA_END_BYTES = 4
-_TOLD = 3
-"""Number of damaged places that a message describes; further places are only counted."""
+_TOLD = 3  # number of damaged places that a message describes; further places are only counted
 
 
 class NotARecordingError(ValueError):
@@ -161,23 +159,15 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Log:
-    """Content of a recording.
+    """Content of a recording."""
 
-    Attributes:
-        samples: Arrays of shape (n,), by field of :class:`rig.common.sample.Sample`.
-        events: Events in order; each has ``time`` and ``event``.
-        messages: Messages as recorded, by topic; :func:`rig.runs.mcap.layout.decode_frames` unpacks
-            those of ``/frames``.
-        attachments: Contents of attachments by name.
-        metadata: Keys and values of metadata by name.
-        damage: None for a complete file, else the place and cause of the damage and the loss.
-    """
-
-    samples: Mapping[str, NDArray[np.float64]]
-    events: tuple[Mapping[str, Any], ...]
+    samples: Mapping[str, NDArray[np.float64]]  # arrays of shape (n,), by field of `Sample`
+    events: tuple[Mapping[str, Any], ...]  # events in order; each has `time` and `event`
+    # Messages as recorded, by topic; `decode_frames` unpacks those of `/frames`.
     messages: Mapping[str, Sequence[Message]]
-    attachments: Mapping[str, bytes]
-    metadata: Mapping[str, Mapping[str, str]]
+    attachments: Mapping[str, bytes]  # contents of attachments by name
+    metadata: Mapping[str, Mapping[str, str]]  # keys and values of metadata by name
+    # None for a complete file, else the place and cause of the damage and the loss.
     damage: str | None
 
 
@@ -333,22 +323,16 @@ def _lost(times: NDArray[np.float64], before: int) -> str:
     )
 
 
-START = len(MAGIC)
-"""Offset of the first record."""
-_TIMES = struct.Struct("<QQ")
-"""First and last log time of a chunk, at the start of its content."""
+START = len(MAGIC)  # offset of the first record
+_TIMES = struct.Struct("<QQ")  # first and last log time of a chunk, at the start of its content
 
 
 class Piece(NamedTuple):
-    """One record of a recording.
+    """One record of a recording."""
 
-    Attributes:
-        messages: Topic and message, in recorded order; empty for a record without messages.
-        following: Offset of the next record, or None for the last record.
-    """
-
+    # Topic and message, in recorded order; empty for a record without messages.
     messages: tuple[tuple[str, Message], ...]
-    following: int | None
+    following: int | None  # offset of the next record, or None for the last record
 
 
 class Tail:
@@ -446,8 +430,7 @@ MAX_ATTACHMENT = 1 << 26
 """Length of a record before the first messages above which the record counts as damaged, bytes."""
 _SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
 _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
-_ATTACHMENTS = 0
-"""Key of attachments; the key of messages is the number of their channel."""
+_ATTACHMENTS = 0  # key of attachments; the key of messages is the number of their channel
 
 
 class Block(NamedTuple):
@@ -523,9 +506,7 @@ def first_attachment(path: Path, name: str) -> bytes:
 
 
 def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
-    """Return metadata that were written before the first messages, or None if there are none of
-    this name.
-    """
+    """Return metadata written before the first messages, or None if none has this name."""
     for opcode, content in _before_messages(path):
         if (
             opcode == Opcode.METADATA

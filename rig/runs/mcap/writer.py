@@ -41,8 +41,7 @@ size of 1 MiB contains seconds of samples.
 MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEADER = MESSAGE.size - 9
-FOOTER_START = struct.Struct("<BQQQ")
-"""Part of the footer that the checksum of the footer covers."""
+FOOTER_START = struct.Struct("<BQQQ")  # part of the footer that the checksum of the footer covers
 
 
 class McapWriter:

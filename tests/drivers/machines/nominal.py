@@ -3,8 +3,6 @@
 The numbers are those of the bench `practical`.
 """
 
-from __future__ import annotations
-
 import math
 
 KM, KE, R, L, GEAR = 0.03, 0.02588, 1.56, 0.00132, 100.0

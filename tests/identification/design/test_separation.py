@@ -2,8 +2,6 @@
 cases that a bound must get right.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Campaigns on the simulated machine, with physics hidden in it, for tests of the diagnosis."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Burns of the simulated gas generator, as a transducer of its pressure shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Every effect is one class, whose words, parameters and regressors agree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 
@@ -91,9 +89,7 @@ def test_the_plausible_range_of_every_parameter_scales_with_the_machine() -> Non
         ("position_dependent_friction", 1.0, (0.1, 0.05), {"torque_Nm": 0.0}),
     ],
 )
-def test_an_effect_states_the_sizes_that_mean_it_is_absent(
-    name: str, coefficient: float, shape: tuple[float, ...], without: dict[str, float]
-) -> None:
+def test_an_effect_states_the_sizes_that_mean_it_is_absent(name, coefficient, shape, without):
     """Of a stiffness, which is then infinite, an interval that contains zero is as wide as it."""
     sizes = EFFECTS[name].absent(np.array([coefficient]), shape, bench()[0])
     assert sizes == pytest.approx(without)

@@ -1,7 +1,5 @@
 """How two fits are compared, what they cannot distinguish, and sizes that follow the machine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -117,9 +115,7 @@ def scaled(view: View, torque: float = 1.0, travel: float = 1.0, motion: str = "
 
 
 @pytest.mark.parametrize(("torque", "travel"), [(0.05, 1.0), (1.0, 0.1), (0.02, 3.0)])
-def test_the_trial_stiffnesses_of_presliding_are_those_of_the_machine(
-    torque: float, travel: float
-) -> None:
+def test_the_trial_stiffnesses_of_presliding_are_those_of_the_machine(torque, travel):
     """A small servo's contact is softer than any trial value of the valve's."""
     joint = nominal_fit(honest())
     whole = Context(joint.equations[0].views, joint.nominal)
@@ -170,9 +166,7 @@ def test_no_friction_drives_the_motion_in_one_direction(share: float, possible: 
     [("asymmetric_viscous", 1), ("quadratic_drag", 2), ("lever_pivot_friction", 0)],
 )
 @pytest.mark.parametrize(("share", "plausible"), [(0.4, True), (0.6, False)])
-def test_friction_of_half_the_greatest_torque_is_plausible(
-    name: str, power: int, share: float, plausible: bool
-) -> None:
+def test_friction_of_half_the_greatest_torque_is_plausible(name, power, share, plausible):
     views = nominal_fit(honest()).views
     torque = max(float(np.max(np.abs(v.torque))) for v in views)
     speed = max(float(np.max(np.abs(v.velocity))) for v in views)

@@ -1,7 +1,5 @@
 """Hidden physics is found, named and sized; where there is none, none is found."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections.abc import Sequence
@@ -66,17 +64,12 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
     [
         ("backlash", {"gap_rad": 0.004}, "transmission"),
         pytest.param(
-            "asymmetric_viscous",
-            {"coefficient_Nms_rad": 0.4},
-            "torque",
-            marks=pytest.mark.proof,
+            "asymmetric_viscous", {"coefficient_Nms_rad": 0.4}, "torque", marks=pytest.mark.proof
         ),
-        ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
+        pytest.param("inverter_dead_time", {"voltage_V": 0.5}, "voltage", marks=pytest.mark.proof),
     ],
 )
-def test_what_is_hidden_is_named_and_sized(
-    name: str, parameters: dict[str, float], equation: str
-) -> None:
+def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
     found = of(campaign({name: parameters}, 2, 6.0))
     assert name in found.effects[0].alias_group
     assert found.fit.equation == equation
@@ -127,7 +120,8 @@ def test_friction_that_lags_by_its_level_or_by_its_speed(of_speed: float) -> Non
     assert parameters["of_speed"].low == parameters["of_speed"].high == of_speed
 
 
-@pytest.mark.parametrize("rational", [0.0, pytest.param(1.0, marks=pytest.mark.proof)])
+@pytest.mark.proof
+@pytest.mark.parametrize("rational", [0.0, 1.0])
 def test_torque_that_saturates_by_either_law(rational: float) -> None:
     hidden = {"torque_saturation": {"knee_A": KNEE_A, "rational": rational}}
     found = diagnose(Dataset(campaign(hidden, 6, 8.0), Model()))

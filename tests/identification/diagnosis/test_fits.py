@@ -1,7 +1,5 @@
 """What a joint fit makes of starts far off, falling friction, and a second effect beside one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The gas generator diagnosed: what is hidden gets its name and size, what is not gets none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -37,8 +35,7 @@ def test_nothing_is_missing_where_only_the_constants_are_off() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [n if n == "leakage" else pytest.param(n, marks=pytest.mark.proof) for n in HIDDEN],
+    "name", [n if n == "leakage" else pytest.param(n, marks=pytest.mark.proof) for n in HIDDEN]
 )
 def test_what_is_hidden_is_named_and_sized(name: str) -> None:
     found = diagnose_gas(recordings({name: HIDDEN[name]}))

@@ -1,7 +1,6 @@
 """Names whose fit is no model, or that do not pay on recordings set aside, are no diagnosis."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -23,7 +22,14 @@ from identification.diagnosis.held_out import (
     validated_effects,
     validation_rms,
 )
-from identification.diagnosis.joint import Added, Joint, estimates, fit, undetermined_size
+from identification.diagnosis.joint import (
+    Added,
+    Joint,
+    _form_error,
+    estimates,
+    fit,
+    undetermined_size,
+)
 from identification.diagnosis.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.result import Fit, Step, Verdict
 from identification.diagnosis.rules import RULES
@@ -78,9 +84,7 @@ def noise(search: Search, power: float) -> Array:
 @pytest.mark.parametrize(
     ("beyond", "expected"), [(False, Verdict.NAMED), (True, Verdict.OUTSIDE_CATALOGUE)]
 )
-def test_a_fit_that_needs_impossible_constants_names_nothing(
-    monkeypatch: pytest.MonkeyPatch, beyond: bool, expected: Verdict
-) -> None:
+def test_a_fit_that_needs_impossible_constants_names_nothing(monkeypatch, beyond, expected):
     monkeypatch.setattr(reasons, "infeasible", lambda _joint: beyond)
     judged = verdict_of(found(1.0), np.random.default_rng(0))
     assert judged.verdict is expected
@@ -90,9 +94,7 @@ def test_a_fit_that_needs_impossible_constants_names_nothing(
 @pytest.mark.parametrize(
     ("one", "expected"), [(False, Verdict.NAMED), (True, Verdict.OUTSIDE_CATALOGUE)]
 )
-def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(
-    one: bool, expected: Verdict
-) -> None:
+def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(one, expected):
     """As much in all as may be noise, in every recording or in one."""
     search = found(FAINT_N_M)
     owner = search.final.equations[0].owner
@@ -107,12 +109,9 @@ def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(
 
 
 @pytest.mark.parametrize(
-    ("power", "expected"),
-    [(0.3, Verdict.NOTHING_MISSING), (0.9, Verdict.OUTSIDE_CATALOGUE)],
+    ("power", "expected"), [(0.3, Verdict.NOTHING_MISSING), (0.9, Verdict.OUTSIDE_CATALOGUE)]
 )
-def test_a_pattern_within_the_noise_without_a_name_is_nothing_missing(
-    power: float, expected: Verdict
-) -> None:
+def test_a_pattern_within_the_noise_without_a_name_is_nothing_missing(power, expected):
     """Beyond one and a half times the noise it is something."""
     search = found(1.0)
     left = (
@@ -137,9 +136,7 @@ def test_an_effect_that_took_anothers_place_must_explain_the_mismatch_too() -> N
 @pytest.mark.parametrize(
     ("share", "confidence"), [(None, 0.99), (0.97, 0.99), (0.2, RULES.incomplete_confidence)]
 )
-def test_what_explains_little_of_recordings_set_aside_is_not_sure(
-    share: float | None, confidence: float
-) -> None:
+def test_what_explains_little_of_recordings_set_aside_is_not_sure(share, confidence):
     search = replace(found(1.0), unseen_share=share)
     (effect,) = effects_of(search, np.random.default_rng(0))
     assert effect.confidence == pytest.approx(confidence, abs=0.01)
@@ -221,9 +218,7 @@ RIGHT = Added(TERM["asymmetric_coulomb"], (), (0.0,))
 WRONG = Added(TERM["position_dependent_friction"], (0.2, 0.02), (0.0,))
 
 
-def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(monkeypatch):
     # Any effect passes the test on unused recordings.
     monkeypatch.setattr(held_out, "_error_reduction", lambda *_: 9.0)
     absent = Added(TERM["asymmetric_viscous"], (), (0.0,))
@@ -248,6 +243,20 @@ def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
     mass = estimates(found)[1]["mass_kg"]
     assert mass.low < 0.0 < mass.high < 0.1
     assert undetermined_size(found, 1) is None
+
+
+def test_the_error_of_a_form_is_a_share_of_what_the_effect_changes() -> None:
+    """An efficiency of 1 is no effect: what is left widens 1 - efficiency, not the efficiency."""
+    found = search(Added(TERM["transmission_efficiency"], (), (0.05,))).final
+    with_form, without = (
+        next(iter(estimates(found, form=form)[0].values())) for form in (True, False)
+    )
+    share = _form_error(found, found.stack, found.effects[0])
+    half = [0.5 * (e.high - e.low) for e in (with_form, without)]
+    assert share > 0.0
+    assert math.sqrt(half[0] ** 2 - half[1] ** 2) == pytest.approx(
+        share * abs(1.0 - with_form.value), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
@@ -371,14 +380,10 @@ def test_what_does_not_explain_unused_recordings_takes_no_empty_place() -> None:
     assert found.final.effects == ()
 
 
-RESTS = (
-    PLAN[1],
-    *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)),
-    (0.0, ladder, "validate"),
-)
+RESTS = (PLAN[1], *((mass, ladder, "fit") for mass in (0.0, 10.0, 10.0)), (0.0, ladder, "validate"))
 
 
-@pytest.mark.parametrize("growth_N_m", [6.0, 0.0])
+@pytest.mark.parametrize("growth_N_m", [6.0, pytest.param(0.0, marks=pytest.mark.proof)])
 def test_static_friction_that_grows_at_rest_is_named_by_its_breakaways(growth_N_m: float) -> None:
     """The other equations have no mismatch."""
     dwell = {"growth_Nm": growth_N_m, "time_s": 0.25}
@@ -400,9 +405,7 @@ ONE_SINE = tuple((0.0, ((22.0, 0.35),), role) for *_, role in PLAN)
     ("hidden", "plan", "bent", "sure"),
     [({}, ONE_SINE, 1.5, False), ({"position_dependent_friction": PATCH}, PLAN, 0.0, True)],
 )
-def test_friction_that_a_speed_explains_as_well_is_no_sure_patch(
-    hidden: Any, plan: Any, bent: float, sure: bool
-) -> None:
+def test_friction_that_a_speed_explains_as_well_is_no_sure_patch(hidden, plan, bent, sure):
     """Of one sine the middle of the travel is the highest speed."""
     bends = with_torque(campaign(hidden, 5, 6.0, plan), lambda _a, w, _t: -bent * w * np.abs(w))
     joint = nominal_fit(bends)
@@ -430,9 +433,7 @@ def test_many_noise_floors_left_are_a_part_unless_nearly_all_is_explained(
 
 
 @pytest.mark.parametrize(("after", "kind"), [(0.35, reasons.Kind.MUCH_LEFT), (0.012, None)])
-def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(
-    monkeypatch: pytest.MonkeyPatch, after: float, kind: reasons.Kind | None
-) -> None:
+def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(monkeypatch, after, kind):
     monkeypatch.setattr(diagnosing, "grown", lambda *_: False)
     errors = Fit("torque", "N m", 25.0, 1.0, after, 0.01, 1.0, after)
     shown: Any = SimpleNamespace(effects=(NAME,), main=errors, before=None, after=None)

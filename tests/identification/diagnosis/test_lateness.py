@@ -1,7 +1,5 @@
 """Channels that are late, and what samples at instants leave unknown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 its size where it is hidden, and shares a group with what these recordings cannot distinguish.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,6 +13,8 @@ from identification.diagnosis.result import Diagnosis, Verdict
 from identification.recording import Dataset, Pendulum, Recording
 
 from .benches import campaign
+
+PROOF = pytest.mark.proof
 
 
 def without(recording: Recording, *names: str) -> Recording:
@@ -39,11 +39,13 @@ def test_a_load_above_coulomb_friction_is_no_asymmetry_of_friction() -> None:
     assert effect.parameters["torque_Nm"].value == pytest.approx(12.0, rel=0.01)
 
 
+@PROOF
 def test_without_voltage_a_load_may_be_an_offset_of_the_current() -> None:
     (effect,) = found({"constant_torque": {"torque_Nm": -12.0}}, 5, "voltage").effects
     assert {"constant_torque", "current_offset"} == {*effect.alias_group}
 
 
+@PROOF
 def test_a_load_below_coulomb_friction_may_be_an_asymmetry_of_friction() -> None:
     diagnosis = found({"constant_torque": {"torque_Nm": 1.0}}, 4)
     (effect,) = diagnosis.effects
@@ -52,7 +54,7 @@ def test_a_load_below_coulomb_friction_may_be_an_asymmetry_of_friction() -> None
     assert abs(effect.parameters["torque_Nm"].value) == pytest.approx(1.0, rel=0.03)
 
 
-@pytest.mark.parametrize(("seed", "loss"), [(3, 0.03), (7, 0.01)])
+@pytest.mark.parametrize(("seed", "loss"), [(3, 0.03), pytest.param(7, 0.01, marks=PROOF)])
 def test_a_loss_of_the_motor_grows_with_its_current_and_speed(seed: int, loss: float) -> None:
     (effect,) = found({"stray_loss": {"coefficient_Nms_A2rad": loss}}, seed).effects
     assert effect.alias_group == ("stray_loss",)
@@ -70,6 +72,7 @@ def test_a_supply_without_a_log_has_one_voltage_in_all_recordings() -> None:
     assert share == pytest.approx(0.5 / 60.0**2, rel=0.1)
 
 
+@PROOF
 def test_a_declared_supply_gives_the_resistance() -> None:
     (effect,) = found(SAG, 4, "supply_voltage", supply_V=60.0).effects
     assert effect.name == "supply_sag"
@@ -77,12 +80,14 @@ def test_a_declared_supply_gives_the_resistance() -> None:
     assert effect.parameters["resistance_ohm"].value == pytest.approx(0.5, rel=0.1)
 
 
+@PROOF
 def test_with_one_encoder_a_gap_is_a_travel_without_friction() -> None:
     (effect,) = found({"backlash": {"gap_rad": 0.02}}, 3, "angle").effects
     assert effect.alias_group == ("friction_play", "backlash")
     assert effect.parameters["friction_share"].value == pytest.approx(1.0, abs=0.05)
 
 
+@PROOF
 def test_friction_of_a_gear_grows_with_its_torque_and_builds_up_over_a_travel() -> None:
     hidden = {
         "gear_friction": {"travel_rad": 0.01, "against_motion": 0.15, "against_torque": 0.05},
@@ -97,7 +102,7 @@ def test_friction_of_a_gear_grows_with_its_torque_and_builds_up_over_a_travel() 
     assert found["against_motion"] + found["against_torque"] == pytest.approx(0.2, rel=0.1)
 
 
-@pytest.mark.parametrize(("seed", "cycles"), [(3, 1.0), (4, 2.0)])
+@pytest.mark.parametrize(("seed", "cycles"), [(3, 1.0), pytest.param(4, 2.0, marks=PROOF)])
 def test_an_encoder_that_swings_is_no_cogging(seed: int, cycles: float) -> None:
     hidden = {"amplitude_rad": 0.02, "per_turn": cycles, "phase_rad": 0.5}
     (effect,) = found({"encoder_ripple": hidden}, seed, "angle").effects
@@ -107,5 +112,6 @@ def test_an_encoder_that_swings_is_no_cogging(seed: int, cycles: float) -> None:
     assert effect.parameters["phase_rad"].value == pytest.approx(0.5, abs=0.1)
 
 
+@PROOF
 def test_with_one_encoder_a_machine_that_hides_nothing_raises_no_alarm() -> None:
     assert found({}, 5, "angle").verdict is Verdict.NOTHING_MISSING

@@ -2,8 +2,6 @@
 sign.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,17 +10,8 @@ import pytest
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Joint, fit, without_effect
 from identification.diagnosis.linear import Added
-from identification.diagnosis.locate import (
-    Mismatch,
-    best_map,
-    maps,
-    mismatch_of,
-    ranges,
-)
-from identification.diagnosis.rows import (
-    FROM_TORQUE,
-    functions,
-)
+from identification.diagnosis.locate import Mismatch, best_map, maps, mismatch_of, ranges
+from identification.diagnosis.rows import FROM_TORQUE, functions
 from identification.effects import MOTION
 from identification.recording import Array, Dataset
 
@@ -98,6 +87,7 @@ def test_chance_explains_nothing(equation: str) -> None:
     assert max(shares) < 0.35
 
 
+@pytest.mark.proof
 def test_an_offset_of_the_current_lies_in_the_torque_equation() -> None:
     """The voltage equation, in which an offset shows less, has more rows."""
     recordings = campaign({"current_offset": {"current_A": 0.3}}, 18, 8.0)

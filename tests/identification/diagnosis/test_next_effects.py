@@ -2,8 +2,6 @@
 more sharply.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +10,8 @@ import pytest
 from identification.diagnosis.comparison import preference
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.observable import collinear_effects
-from identification.diagnosis.removal import (
-    left_beyond_noise,
-)
-from identification.diagnosis.significance import (
-    trial_candidates,
-)
+from identification.diagnosis.removal import left_beyond_noise
+from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Candidate
 from identification.effects import MOTION
 from identification.effects.effect import Context
@@ -66,9 +60,7 @@ def test_what_a_gap_explains_is_not_looked_for_again(gap: Joint) -> None:
     assert all(c.gain <= 1.01 * gap.cost for c in ranked(gap))
 
 
-def test_what_a_candidate_promises_is_what_its_fit_is_preferred_by(
-    plain: Joint, gap: Joint
-) -> None:
+def test_what_a_candidate_promises_is_what_its_fit_is_preferred_by(plain, gap):
     asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
     added = Added(BY_NAME["asymmetric_coulomb"], (), tuple(asymmetry.coefficients))
     after = fit(gap.equations[0].views, "N m", gap.nominal, (*gap.effects, added), plain)

@@ -1,8 +1,5 @@
-"""What recordings can show, what the baselines see, and what is wrong in one recording."""
+"""What recordings can show, what the true effects gain, and what is wrong in one recording."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,23 +7,14 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose, observable_effects
+from identification.diagnosis.held_out import (
+    oracle,
+)
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.observable import Observable
-from identification.diagnosis.oracle import (
-    FOLDS,
-    Group,
-    Library,
-    greedy_bic,
-    library,
-    oracle,
-    sparse,
-)
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.significance import (
-    rests_under_torque,
-)
-from identification.effects import MOTION
-from identification.recording import Array, Dataset, Model, Recording
+from identification.diagnosis.significance import rests_under_torque
+from identification.recording import Dataset, Model, Recording
 from identification.views.view import View, views
 
 from .benches import campaign, nominal_fit
@@ -85,8 +73,6 @@ def test_a_turn_one_way_does_not_distinguish_cogging_from_ripple() -> None:
     assert seen["backlash"].sizes == {}
 
 
-Method = Callable[[Library], tuple[str, ...]]
-ROWS = 4000
 VISCOUS = {"coefficient_Nms_rad": 0.4}
 
 
@@ -98,38 +84,6 @@ def lopsided() -> tuple[Recording, ...]:
 @pytest.fixture(scope="module")
 def first(lopsided: tuple[Recording, ...]) -> Joint:
     return nominal_fit(lopsided)
-
-
-def made(coefficients: dict[str, float], seed: int = 4, positive: tuple[int, ...] = ()) -> Library:
-    """Return a library of ten white regressors, on white noise and these of them."""
-    rng = np.random.default_rng(seed)
-    names = [f"effect {k}" for k in range(10)]
-    columns = rng.standard_normal((ROWS, len(names))) / np.sqrt(ROWS)
-    residual = rng.standard_normal(ROWS) + columns @ [coefficients.get(n, 0.0) for n in names]
-    groups = tuple(Group(n, (), slice(k, k + 1), positive) for k, n in enumerate(names))
-    parts: list[tuple[Array, Array]] = list(
-        zip(np.split(columns, FOLDS), np.split(residual, FOLDS), strict=True)
-    )
-    return Library(
-        groups,
-        np.stack([x.T @ x for x, _ in parts]),
-        np.stack([x.T @ y for x, y in parts]),
-        np.array([y @ y for _, y in parts]),
-        ROWS,
-    )
-
-
-@pytest.mark.parametrize("method", [greedy_bic, sparse])
-def test_on_white_noise_they_name_what_is_there_and_nothing_else(method: Method) -> None:
-    assert method(made({})) == ()
-    assert method(made({"effect 3": 12.0, "effect 7": -30.0})) == ("effect 7", "effect 3")
-
-
-def test_on_a_rig_they_see_what_the_search_sees(first: Joint) -> None:
-    given = library(first, [e for e in MOTION if e.group in ("friction", "device")])
-    assert np.allclose(np.einsum("fpp->p", given.gram), 1.0)
-    assert greedy_bic(given)[0] == "asymmetric_viscous"
-    assert sparse(given)[0] == "asymmetric_viscous"
 
 
 def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: Joint) -> None:
@@ -148,9 +102,7 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     )
 
 
-def test_without_recordings_set_aside_there_is_no_oracle(
-    lopsided: tuple[Recording, ...], first: Joint
-) -> None:
+def test_without_recordings_set_aside_there_is_no_oracle(lopsided, first):
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
 
@@ -178,9 +130,7 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
     return views(recordings, 25.0)
 
 
-def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
-    recordings: tuple[Recording, ...],
-) -> None:
+def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(recordings):
     assert rests_under_torque(seen(recordings), "N m") == ()
     (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")

@@ -1,7 +1,5 @@
 """What fits, and is the pattern of something else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +22,7 @@ SPRING, WEIGHT, CURRENT = (
     ("weight_N_m", "expected"),
     [(-12.2, ("return_spring", "gravity_imbalance")), (12.2, ()), (-3.0, ()), (0.0, ())],
 )
-def test_a_spring_and_a_weight_against_it_are_a_hardening_spring(
-    weight_N_m: float, expected: tuple[str, ...]
-) -> None:
+def test_a_spring_and_a_weight_against_it_are_a_hardening_spring(weight_N_m, expected):
     """Within the travel a weight is nearly a spring."""
     joint = nominal_fit(honest())
     effects = (
@@ -59,9 +55,7 @@ def test_what_remembers_its_travel_is_no_weight_nor_spring(name: str) -> None:
         ({"x_two_wells": {"torque_Nm": 1.5, "center_rad": 0.2, "width_rad": 0.1}}, "return_spring"),
     ],
 )
-def test_what_leaves_noise_or_goes_by_the_angle_remembers_nothing(
-    hidden: dict[str, dict[str, float]], name: str
-) -> None:
+def test_what_leaves_noise_or_goes_by_the_angle_remembers_nothing(hidden, name):
     assert not is_hysteretic(fitted(hidden, name))
 
 

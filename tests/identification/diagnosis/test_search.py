@@ -1,7 +1,5 @@
 """How effects are searched, added and kept; a gap and a loop are told apart by their crossing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -139,11 +137,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert [e.name for e in found.effects] == ["coulomb_drift"]
     drift = {"coulomb_drift": {"rate_Nm_s": 0.12, "time_s": 5.0}}
     apart = tuple(
-        replace(
-            campaign(drift, 3 + k, 6.0)[0],
-            name=f"r{k}",
-            role="validate" if k == 3 else "fit",
-        )
+        replace(campaign(drift, 3 + k, 6.0)[0], name=f"r{k}", role="validate" if k == 3 else "fit")
         for k in range(4)
     )
     apart = (*apart[:-1], begun_late(apart[-1], 2.0))
@@ -155,7 +149,8 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert any("no common clock" in w for w in found.warnings)
 
 
-@pytest.mark.parametrize("other", [pytest.param(0.0, marks=pytest.mark.proof), -0.3])
+@pytest.mark.proof
+@pytest.mark.parametrize("other", [0.0, -0.3])
 def test_end_stops_are_found_at_one_end_of_the_travel_or_at_both(other: float) -> None:
     stop = {"angle_rad": 0.28, "stiffness_Nm_rad": 60.0, "other_rad": other}
     found = diagnose(
@@ -237,9 +232,7 @@ def test_dropped_effects_take_no_part_in_the_next_search_and_only_a_name_replace
 
 
 @pytest.mark.parametrize("moves", [True, False])
-def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
-    monkeypatch: pytest.MonkeyPatch, moves: bool
-) -> None:
+def test_a_valve_that_hardly_moves_is_judged_by_the_motor(monkeypatch, moves):
     """A gap is found; the valve's own motion may then be too little for a fit."""
     sides: list[tuple[str, bool]] = []
     gap = SimpleNamespace(term=EFFECTS["backlash"])
@@ -319,9 +312,7 @@ def test_each_is_named_and_the_other_rejected(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "told"), [("backlash", True), ("coupling_hysteresis", False)])
-def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(
-    name: str, told: bool
-) -> None:
+def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(name, told):
     """A loop that the angles give some torque stays open to both."""
     gap = 1e-4
     here = valve_side(name)

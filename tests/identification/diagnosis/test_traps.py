@@ -6,8 +6,6 @@ and that the trapped variant gives a wrong one on the same data. Those of statis
 ``test_traps_of_statistics``.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Fits within their limits, and what is within the noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -149,9 +147,7 @@ def scaled(joint: Joint, power: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("power", "expected"), [(1.05, False), (1.15, True)])
-def test_an_equation_is_beyond_the_noise_by_its_mean_square(
-    joint: Joint, power: float, expected: bool
-) -> None:
+def test_an_equation_is_beyond_the_noise_by_its_mean_square(joint, power, expected):
     assert ("torque" in beyond_noise(with_torque(joint, scaled(joint, power)))) is expected
 
 
@@ -179,9 +175,7 @@ def test_a_recording_is_judged_by_its_own_noise(joint: Joint) -> None:
 
 
 @pytest.mark.parametrize(("power", "missing"), [(0.9, False), (1.3, True)])
-def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
-    joint: Joint, power: float, missing: bool
-) -> None:
+def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(joint, power, missing):
     """A weight out of balance, as large as the noise beside it."""
     torque, term = joint.equations[0], TERM["gravity_imbalance"]
     shape = term.shapes(Context(torque.views, joint.nominal))[0]
@@ -217,9 +211,7 @@ def test_quick_reversals_raise_the_bandwidth(frequency_Hz: float) -> None:
 
 
 @pytest.mark.parametrize(("equation", "share"), [("torque", 2e-4), ("voltage", 2e-4)])
-def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(
-    equation: str, share: float
-) -> None:
+def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(equation, share):
     """An error that repeats with the motion is in no noise, and no physics below this share."""
     found = next(e for e in nominal_fit(honest()).equations if e.name == equation)
     read = [v.torque if equation == "torque" else v.voltage for v in found.views]
@@ -232,9 +224,7 @@ def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(
 
 @pytest.mark.parametrize("channel", ["voltage", "current"])
 @pytest.mark.parametrize("averaged", [True, False])
-def test_values_between_the_samples_are_unknown_unless_means_are_logged(
-    channel: str, averaged: bool
-) -> None:
+def test_values_between_the_samples_are_unknown_unless_means_are_logged(channel, averaged):
     """A voltage that changes by 2 V from sample to sample is unknown by 2 V / sqrt(12)."""
     voltage = next(e for e in nominal_fit(honest()).equations if e.name == "voltage")
     declared = {"voltage", "current"} - (set() if averaged else {channel})

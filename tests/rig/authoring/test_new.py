@@ -1,7 +1,5 @@
 """``rig new``: what it writes is valid, explained and run at once; guesses of columns."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -24,17 +22,14 @@ from rig.sources.build import load_source
 from rig.sources.columns import guess_channels, guess_mass, is_linear
 from rig.terminal.prompt import InputEndedError
 
+pytestmark = pytest.mark.usefixtures("elsewhere")
+
 SMALL = (
     *("--lever-ratio", "1", "--moment-arm", "0.15", "--supply", "24", "--gear-ratio", "51"),
     *("--torque-constant", "0.0259", "--resistance", "0.6", "--inductance", "0.0002"),
     *("--rated-current", "3.2", "--current-limit", "5", "--weights", "2,5", "--yes"),
 )
 REAL = ("--devices", "real", "--servo-eds", "d.eds")
-
-
-@pytest.fixture(autouse=True)
-def _in_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 class Answering:
@@ -66,7 +61,6 @@ def schema_accepts(name: str) -> bool:
 def test_the_small_bench_runs_at_once(drive: str) -> None:
     assert new("bench", "bench.yaml", "--drive", drive, *SMALL) == 0
     mock = load_bench(Path("bench.yaml")).value.mock
-    assert mock is not None
     assert (mock.motor.gear_ratio, mock.supply_V) == (51, 24)
     assert schema_accepts("bench.yaml")
     motion = ("--weights", "2,5", "--amplitude", "15", "--frequency", "0.5", "--duration", "2.2")
@@ -108,9 +102,7 @@ def test_a_real_bench_has_no_simulated_machine(options: tuple[str, ...], cycle_H
         (("--devices", "real", *SMALL), ["--servo-eds", "--encoder-eds"]),
     ],
 )
-def test_values_that_cannot_be_guessed_are_asked_for(
-    options: tuple[str, ...], lacking: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_values_that_cannot_be_guessed_are_asked_for(options, lacking, capsys):
     assert new("bench", "b.yaml", *options) == 2
     assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == lacking
     assert not Path("b.yaml").exists()
@@ -212,9 +204,7 @@ def test_a_linear_campaign_has_scales_terms_and_a_recording_to_validate() -> Non
         (("b.csv",), ["b.csv: "]),
     ],
 )
-def test_a_campaign_refuses_options_that_make_no_file(
-    options: tuple[str, ...], named: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_campaign_refuses_options_that_make_no_file(options, named, capsys):
     Path("a.csv").write_text("t,torque,angle\n0,1,2\n1,2,3\n")
     assert new("campaign", "c.yaml", "a.csv", *options, "--yes") == 2
     told = capsys.readouterr().err

@@ -1,7 +1,5 @@
 """The JSON Schemas accept what the program accepts, and refuse what an editor can know."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from functools import cache
@@ -187,9 +185,7 @@ def test_mutants_are_the_same_read_as_yaml_or_as_json() -> None:
 @pytest.mark.parametrize(
     ("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else ""
 )
-def test_the_schema_refuses_nothing_that_the_program_accepts(
-    kind: str, tree: Any, tmp_path: Path
-) -> None:
+def test_the_schema_refuses_nothing_that_the_program_accepts(kind, tree, tmp_path):
     """Each value in turn is left out and replaced; the schema is never the harder judge."""
     check, judged = validator(kind), 0
     defaults = tree.get("defaults")
@@ -220,9 +216,7 @@ def test_the_schema_refuses_nothing_that_the_program_accepts(
         ("sequence", "figure10", ("stages", 0, "name"), "a b"),
     ],
 )
-def test_values_that_are_refused(
-    kind: str, name: str, path: tuple[Any, ...], value: Any, tmp_path: Path
-) -> None:
+def test_values_that_are_refused(kind, name, path, value, tmp_path):
     tree = plain(resolve(name, "benches" if kind == "bench" else "sequences").read_text())
     assert validator(kind).is_valid(tree)
     place = tree
@@ -246,9 +240,7 @@ def test_every_key_of_a_record_is_described(kind: str) -> None:
     assert lacking == []
 
 
-def test_one_schema_goes_to_the_terminal_and_all_to_a_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_schema_goes_to_the_terminal_and_all_to_a_folder(tmp_path, capsys):
     assert status(["schema", "bench"]) == 0
     assert json.loads(capsys.readouterr().out) == json_schema("bench")
     assert status(["schema", "--out", str(tmp_path / "schemas")]) == 0

@@ -1,7 +1,5 @@
 """Run folders with a record and an identification, and without a recording."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The console and runs in processes of their own, with a folder of control sockets of their own."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os
@@ -219,7 +217,6 @@ def served(where: Place, *benches: str) -> Iterator[Served]:
         text=True,
     ) as process:
         try:
-            assert process.stdout is not None
             lines = [process.stdout.readline() for _ in range(2)]
             yield Served(where, lines[1].split()[-1], process)
         finally:

@@ -1,7 +1,5 @@
 """A program that speaks to control sockets, for tests."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -1,7 +1,5 @@
 """The page in a real Chromium, on runs of the simulated bench in real time."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -171,9 +169,7 @@ WORDS: list[tuple[str, str, Any, str]] = [
 ]
 
 
-def test_values_are_called_read_back_and_new_only_if_they_are(
-    opened: Callable[..., Page],
-) -> None:
+def test_values_are_called_read_back_and_new_only_if_they_are(opened):
     page = opened()
     for module, function, row, words in WORDS:
         call = function.replace("ROW", json.dumps(row))
@@ -204,9 +200,7 @@ def ended(where: Place) -> dict[str, Any]:
     return max(where.records(), key=lambda record: record["parts"][0]["created"])
 
 
-def test_a_run_from_the_start_to_a_stop_by_another_page(
-    opened: Callable[..., Page], where: Place
-) -> None:
+def test_a_run_from_the_start_to_a_stop_by_another_page(opened, where):
     page = opened()
     expect(page.locator("#start-bench")).to_have_value("practical")
     page.fill("#start-own", str(where.sequence("short", SHORT_S, STOPPED_S)))
@@ -283,8 +277,6 @@ def require_low_bar(page: Page) -> None:
     for width, height in ((360, 640), (844, 390)):
         page.set_viewport_size({"width": width, "height": height})
         bar, stop = page.locator("#bar").bounding_box(), page.locator("#stop").bounding_box()
-        assert bar is not None
-        assert stop is not None
         assert bar["height"] <= 0.25 * height
         assert stop["height"] >= 56.0
         assert stop["width"] >= 0.5 * width
@@ -292,9 +284,7 @@ def require_low_bar(page: Page) -> None:
         fits(page, width)
 
 
-def test_a_run_is_stopped_in_a_pause_and_continued_to_its_verdict(
-    opened: Callable[..., Page], where: Place
-) -> None:
+def test_a_run_is_stopped_in_a_pause_and_continued_to_its_verdict(opened, where):
     page = opened()
     judged = where.sequence("paused", SHORT_S)
     judged.write_text(judged.read_text() + "acceptance:\n  - tracking error rms < 0.5 deg\n")
@@ -363,7 +353,6 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
         lost.set_viewport_size({"width": width, "height": 844})
         expect(alarm).to_be_in_viewport(ratio=1)
         box = alarm.bounding_box()
-        assert box is not None
         assert box["width"] >= width - 20  # less a scroll bar
     assert alarm.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(179, 0, 30)"
     require_accessible(lost)
@@ -393,9 +382,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     expect(lost.locator("#stop")).to_be_enabled()
 
 
-def test_runs_are_compared_a_constant_is_followed_and_a_bench_is_made_safe(
-    opened: Callable[..., Page], console: Served
-) -> None:
+def test_runs_are_compared_a_constant_is_followed_and_a_bench_is_made_safe(opened, console):
     write_history(console.place.folder / "runs" / "history", 8, step=6.0)
     page = opened(width=390)
 
@@ -436,9 +423,7 @@ def test_runs_are_compared_a_constant_is_followed_and_a_bench_is_made_safe(
     fits(page, 390)
 
 
-def test_the_page_of_a_rejected_run_draws_and_runs_no_foreign_script(
-    opened: Callable[..., Page], where: Place
-) -> None:
+def test_the_page_of_a_rejected_run_draws_and_runs_no_foreign_script(opened, where):
     sequence = where.sequence("strict", SHORT_S)
     sequence.write_text(sequence.read_text() + "acceptance:\n  - tracking error rms < 0.0001 deg\n")
     # In real time, so that also a busy console finds the program before its end.

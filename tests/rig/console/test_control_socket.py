@@ -2,8 +2,6 @@
 prompts, nothing that blocks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import os
@@ -32,7 +30,6 @@ from rig.terminal.control_socket import (
     MessageError,
     Order,
     SocketFolderError,
-    decode,
     objection,
     order_of,
     require_own_folder,
@@ -160,9 +157,7 @@ STOPPED_IN = {phase for phase, _ in TRANSITIONS} - {Phase.FIRST_PASS, Phase.WEIG
 
 
 @pytest.mark.parametrize("phase", sorted(STOPPED_IN, key=lambda phase: phase.value))
-def test_stop_in_every_phase(
-    phase: Phase, bound: Bound, runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stop_in_every_phase(phase, bound, runner, fake_bench, monkeypatch):
     bench = fake_bench()
     devices = bench.devices
 
@@ -279,11 +274,6 @@ def order(**changed: Any) -> Order:
     return Order(**{"command": Command.PAUSE, "run": "r", "number": NOW, "who": "w", **changed})
 
 
-def test_a_command_survives_its_encoding() -> None:
-    sent = order(command=Command.ANSWER, prompt=3, text="30,6 kg")
-    assert order_of(decode(sent.encode())) == sent
-
-
 @pytest.mark.parametrize(
     ("changed", "last", "words"),
     [
@@ -321,12 +311,6 @@ def test_what_is_refused(changed: dict[str, Any], last: int, words: str | None) 
 def test_commands_with_wrong_fields(changed: dict[str, Any]) -> None:
     with pytest.raises(MessageError):
         order_of({**FIELDS, **changed})
-
-
-@pytest.mark.parametrize("data", [b"", b"[1]", b"\xff", b"[" * 4000, b"null", b'{"a":'])
-def test_what_is_no_message(data: bytes) -> None:
-    with pytest.raises(MessageError):
-        decode(data)
 
 
 def test_the_folder_is_closed_to_others(tmp_path: Path) -> None:

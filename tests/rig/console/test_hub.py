@@ -20,7 +20,7 @@ import rig.console.hub as run_link
 from drivers.clock import NS, SimulatedClock
 from rig.console.app import Console
 from rig.console.followed import SILENT_S
-from rig.console.gate import MOST_PAGES, MOST_READERS, Token
+from rig.console.gate import Token
 from rig.console.hub import TICK_S, Hub, Links, Page, Refusal, Unreachable
 from rig.console.starting import Starter
 from rig.terminal.control_socket import VERSION, Command, ControlSocket, socket_folders
@@ -252,9 +252,7 @@ def test_a_stop_names_what_did_not_confirm_it(desk: Desk, monkeypatch: pytest.Mo
     assert sent.stopped == ["one", "two"]
 
 
-def test_programs_on_other_benches_are_not_stopped(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_programs_on_other_benches_are_not_stopped(desk, monkeypatch):
     desk.hub._only = frozenset({"mine"})
     desk.reached("other", bench="b")
     desk.reached("jog", bench="mine")
@@ -262,24 +260,7 @@ def test_programs_on_other_benches_are_not_stopped(
     assert desk.press()["stopped"] == ["jog"]
 
 
-@pytest.mark.parametrize(("may", "most"), [(True, MOST_PAGES), (False, MOST_READERS)])
-def test_pages_are_bounded_with_the_token_and_without(desk: Desk, may: bool, most: int) -> None:
-    controls = desk.hub.controls
-    desk.hub.controls.close(desk.page)
-    opened = []
-    while controls.room(may):
-        opened.append(controls.open())
-        if may:
-            controls.admit(opened[-1])
-    assert len(opened) == most
-    assert controls.room(not may)
-    controls.close(opened[0])
-    assert controls.room(may)
-
-
-def test_questions_to_a_run_that_hangs_leave_room_for_stop_in_its_queue(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_questions_to_a_run_that_hangs_leave_room_for_stop_in_its_queue(desk, monkeypatch):
     asked: list[tuple[float, str]] = []
     now_s = 0.0
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
@@ -429,9 +410,7 @@ def test_a_stop_after_a_later_command_of_another_program_gets_a_new_number(line:
 
 
 @pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
-def test_a_message_that_cannot_be_sent_now_does_not_end_a_run(
-    line: Line, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_a_message_that_cannot_be_sent_now_does_not_end_a_run(line, monkeypatch, number):
     sending = line.links._socket
 
     class Short:

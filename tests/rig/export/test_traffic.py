@@ -1,11 +1,8 @@
 """Raw frames of a run read back by the readers of python-can and ROS: bit for bit."""
 
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
@@ -98,9 +95,7 @@ def expected(message: can.Message, frame: RawFrame) -> bool:
 )
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(frames=traffic, more=data_frames)
-def test_any_frames_come_back(
-    run: Path, kind: str, reader: Any, frames: list[RawFrame], more: RawFrame
-) -> None:
+def test_any_frames_come_back(run, kind, reader, frames, more):
     frames = sorted([*frames, more], key=lambda frame: frame.time_ns)
     with_frames(run, frames)
     with reader(exported(run, kind)) as messages:
@@ -126,9 +121,7 @@ def _serial(frame: RawFrame) -> bool:
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(frames=traffic)
-def test_any_frames_come_back_from_mcap_by_the_reader_of_ros(
-    run: Path, frames: list[RawFrame]
-) -> None:
+def test_any_frames_come_back_from_mcap_by_the_reader_of_ros(run, frames):
     frames = sorted(frames, key=lambda frame: frame.time_ns)
     path = run.parent / "direct.mcap"
     with_frames(run, frames)

@@ -1,7 +1,5 @@
 """The truth that tests write with a format's own library, and its loading through a campaign."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

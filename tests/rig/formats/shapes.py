@@ -4,8 +4,6 @@ is said.
 Each property takes a drawn log and a folder; ``tests/long/fuzz.py`` runs them many times.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

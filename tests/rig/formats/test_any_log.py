@@ -1,7 +1,5 @@
 """Random and damaged logs of every format, and the second process that reads them."""
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys
@@ -61,9 +59,7 @@ def test_any_damage_is_read_or_refused_with_the_name_of_the_file(tmp_path: Path,
             assert str(path) in str(error)  # noqa: PT017 - either outcome is right
 
 
-def test_a_library_that_ends_its_process_is_an_error_and_the_next_file_is_read(
-    tmp_path: Path,
-) -> None:
+def test_a_library_that_ends_its_process_is_an_error_and_the_next_file_is_read(tmp_path):
     path, good = tmp_path / "a.mat", tmp_path / "good.mat"
     mat(good)
     scipy.io.savemat(path, {"t": np.arange(9.0)})
@@ -78,15 +74,12 @@ def test_a_library_that_ends_its_process_is_an_error_and_the_next_file_is_read(
 def test_an_open_table_outlives_its_process(tmp_path: Path) -> None:
     mat(tmp_path / "a.mat")
     table = open_table(tmp_path / "a.mat", PLAIN)
-    assert served.READER.process is not None
     served.READER.process.kill()
     served.READER.process.wait()
     np.testing.assert_array_equal(table.read([1])[0], TIME)
 
 
-def test_a_request_that_is_interrupted_leaves_no_half_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_request_that_is_interrupted_leaves_no_half_answer(tmp_path, monkeypatch):
     mat(tmp_path / "a.mat")
     table = open_table(tmp_path / "a.mat", PLAIN)
 

@@ -1,7 +1,5 @@
 """CAN traffic written by python-can, its signals encoded by cantools: back to the last bit."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """HDF5, MATLAB v7.3, JSON and arrays of numpy: to the last bit, or refused in words."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -130,15 +128,6 @@ def test_every_shape_is_the_truth(tmp_path: Path, value: object) -> None:
     np.testing.assert_allclose(recording.time, TIME, rtol=0, atol=1e-15)
     np.testing.assert_allclose(recording.channels["current"], CURRENT, rtol=0, atol=1e-14)
     np.testing.assert_allclose(recording.channels["angle"], ANGLE, rtol=0, atol=1e-14)
-
-
-def test_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    (tmp_path / "log.json").write_text("\ufeff" + json.dumps(COLUMNS), encoding="utf-8")
-    recording = load_file(tmp_path, "log.json", NAMED)
-    same(recording.time, TIME)
-    same(recording.channels["current"], CURRENT)
-    same(recording.channels["angle"], ANGLE)
-    assert recording.notes == ()
 
 
 def test_dates_nulls_and_nanoseconds(tmp_path: Path) -> None:

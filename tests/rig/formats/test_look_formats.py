@@ -1,7 +1,5 @@
 """``rig look`` on every format: columns, clock, doubts, and a first campaign file that loads."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -91,9 +89,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_every_format_is_looked_at_doubted_and_loaded(
-    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_format_is_looked_at_doubted_and_loaded(tmp_path, kind, capsys):
     path = tmp_path / f"log.{kind}"
     WRITERS[kind](path)
     campaign, out = tmp_path / "c.yaml", tmp_path / "look.json"
@@ -112,9 +108,7 @@ def test_every_format_is_looked_at_doubted_and_loaded(
     np.testing.assert_array_equal(recording.channels["current"], SPIKED)
 
 
-def test_traffic_is_looked_at_with_a_dbc_and_its_campaign_loads(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_traffic_is_looked_at_with_a_dbc_and_its_campaign_loads(tmp_path, capsys):
     path = write_traffic(tmp_path / "log.blf", map(motion, range(N)))
     assert status(["look", str(path)]) == 2
     assert "the meaning of the frames is unknown: give a DBC file" in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """MCAP with CDR and protobuf, written by mcap-ros2-support and mcap-protobuf-support."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """MDF by asammdf and TDMS by npTDMS: numbers to the last bit, or refused in words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -146,18 +144,6 @@ def test_a_waveform_is_time_and_numbers_to_the_last_bit(tmp_path: Path) -> None:
     same(recording.channels["current"], CURRENT)
     same(recording.channels["angle"], ANGLE)
     assert recording.notes == ()
-
-
-def test_channels_alike_without_a_waveform(tmp_path: Path) -> None:
-    none: dict[str, object] = {}
-    write_tdms(tmp_path / "log.tdms", ("g", "t", TIME, none), ("g", "i", CURRENT, none))
-    with TdmsWriter(tmp_path / "log.tdms", mode="a") as writer:
-        writer.write_segment([ChannelObject("g", "q", ANGLE, {"unit_string": "rad"})])
-    recording = load_file(tmp_path, "log.tdms", CHANNELS.replace("time: time", "time: t"))
-    same(recording.time, TIME)
-    same(recording.channels["angle"], ANGLE)
-    look = look_at_file(tmp_path / "log.tdms", PLAIN)
-    assert [(c.name, c.unit) for c in look.columns] == [("t", ""), ("i", ""), ("q", "rad")]
 
 
 def test_scales_are_applied_or_refused(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Experiments: within the limits of the bench, simulated on what is believed of it, and costed."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -2,11 +2,10 @@
 disk, and what a kill at any moment leaves.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
+import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,7 +24,7 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
-from rig.cli.entry import BAD_INPUT, status
+from rig.cli.entry import BAD_INPUT, STOPPED, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
@@ -38,10 +37,12 @@ from rig.investigate.investigation import (
     MOST_COVERS,
     MOST_REFUTED,
     VAIN,
+    Experiment,
     Investigation,
     State,
     load_state,
 )
+from rig.results.run.go_on import NOT_READ_BACK
 
 Z = np.zeros(3)
 
@@ -135,7 +136,7 @@ class World:
 
     def compare(self, *_: Any) -> Confirmation:
         share, self.held = (self.held[0], self.held[1:]) if self.held else (0.9, ())
-        return Confirmation(share, 0.11, 0.1, 3, (Z, Z, Z, Z))
+        return Confirmation(share, 0.11, 0.1, 3, 4, {"a": (Z, Z, Z, Z)})
 
     def begin(self, state: State) -> Investigation:
         bench = load_bench("practical")
@@ -300,17 +301,40 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
         (("--confirm", "missing.json"), "missing.json"),
     ],
 )
-def test_bad_input(
-    arguments: tuple[str, ...],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_input(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert status(["investigate", *arguments, "--out", "o"]) == BAD_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "o" / loop.STATE_FILE).exists()
+
+
+@pytest.mark.parametrize("off", [None, True, False])
+def test_ctrl_c_between_runs_tells_the_drive_and_the_command_that_goes_on(
+    off: bool | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "the folder"
+
+    def stopped(one: Investigation) -> None:
+        if off is not None:
+            one.state.experiments = [Experiment("01-first", "01-first.yaml", "", 0.0, 0)]
+            (folder / "01-first").mkdir(exist_ok=True)
+            (folder / "01-first" / "run.json").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Investigation, "run", stopped)
+    monkeypatch.setattr(loop, "read_record", lambda _: SimpleNamespace(de_energised=off))
+    words = ["investigate", "--bench", "practical", "--yes", "--out", str(folder)]
+    for _ in range(2):
+        assert status(words) == STOPPED
+        told = capsys.readouterr().err.splitlines()
+        assert (NOT_READ_BACK in told[-2]) is (off is False)
+        assert ("01-first" in told[-2]) is (off is not None)
+        words = shlex.split(told[-1].partition("go on with: rig ")[2])
+    assert "--resume" in words
+    assert "--yes" in words
 
 
 @pytest.mark.parametrize(

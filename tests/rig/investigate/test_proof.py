@@ -17,16 +17,15 @@ from rig.investigate import proof
 from rig.investigate.investigation import Experiment, State
 from rig.investigate.proof import SimulatedInvestigation
 from rig.results.document import text
-from rig.results.prove.draw import OUTSIDE_SIZES, draw
+from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
 from rig.results.prove.engine import Processes
-from rig.results.prove.run import FAMILIES, INVESTIGATION, ON_A_BENCH, begin
 
 
 def quiet(*_: Any) -> None:
     """Show nothing."""
 
 
-@pytest.mark.parametrize("name", [*ON_A_BENCH[:3], *list(OUTSIDE_SIZES)[:2]])
+@pytest.mark.parametrize("name", [*proof.ON_A_BENCH[:3], *list(OUTSIDE_SIZES)[:2]])
 def test_a_drawn_machine_is_a_bench_whose_file_hides_its_effects_in_the_simulation(
     name: str, tmp_path: Path
 ) -> None:
@@ -55,7 +54,7 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     for name in ("campaign", "reference_of"):
         monkeypatch.setattr(proof, name, lambda *_: [])
     monkeypatch.setattr(proof, "strength", lambda *_: {"current": 5.0})
-    begun = begin(tmp_path, 2, 4, INVESTIGATION)
+    begun = proof.begin(tmp_path, 2, 4)
     rows = proof.work(begun, Processes(1), quiet)
     assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
         ("one", "missed", "missed")
@@ -63,16 +62,16 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     assert [r["sha256"] for r in rows] == [s.digest for s in begun.rigs]
     assert [len(one.state.experiments) for one in ran] == [1, 1]
     ran.clear()
-    assert proof.work(begin(tmp_path, 2, 4, INVESTIGATION), Processes(1), quiet) == rows
+    assert proof.work(proof.begin(tmp_path, 2, 4), Processes(1), quiet) == rows
     assert ran == []
     found = proof.figures(rows)
     assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
     assert found["alarms"]["of"] == found["outside"]["of"] == 0
-    assert read_json(tmp_path / "rows" / "0001.json") == rows[0]
+    assert read_json(tmp_path / "rows" / "rig-0001.json") == rows[0]
     provenance = Provenance.of(4, (), 0.0, tmp_path / "proof.json")
     shown = text(proof.proof_document(proof.proof_record(rows, provenance), provenance))
     assert all("+".join(r["effects"]) in shown for r in rows)
-    drawn = [kind for kind, _ in FAMILIES[INVESTIGATION].assignment(34, 4)]
+    drawn = [kind for kind, _ in assignment(34, 4, proof.SHARES, proof.ON_A_BENCH)]
     assert {kind: drawn.count(kind) for kind in drawn} == {"one": 27, "nothing": 4, "outside": 3}
 
 
@@ -113,5 +112,10 @@ def test_wilson() -> None:
 
 
 def test_what_contradicts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["prove", "--investigate", "--gas", "--out", str(tmp_path / "o")]) == BAD_INPUT
+    assert (
+        status(
+            ["prove", "--investigate", "--seal", str(tmp_path / "s"), "--out", str(tmp_path / "o")]
+        )
+        == BAD_INPUT
+    )
     assert "--investigate" in capsys.readouterr().err

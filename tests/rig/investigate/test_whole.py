@@ -1,9 +1,6 @@
 """Whole investigations on the simulated bench, minutes each."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -16,9 +13,7 @@ CONTRACT = {"verdict", "effects", "fit", "experiments", "bench_seconds", "confir
 
 
 @pytest.mark.proof
-def test_an_asymmetry_that_grows_with_speed_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_asymmetry_that_grows_with_speed_is_named(tmp_path, monkeypatch):
     hidden = "effects: {asymmetric_viscous: {coefficient_Nms_rad: 1.2}}"
     bench = variant(tmp_path, ("effects: {}", hidden))
     out, result = tmp_path / "out", tmp_path / "result.json"

@@ -3,8 +3,6 @@ every value to the last bit, while the recording grows and when it is complete. 
 a shell starts it, and the layouts that it names.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math
@@ -324,14 +322,12 @@ def test_an_address_is_printed_served_and_given_up_at_ctrl_c(run: str) -> None:
         stderr=subprocess.STDOUT,
         text=True,
     ) as process:
-        assert process.stdout is not None
         text = ""
         while "Ctrl-C" not in text:
             line = process.stdout.readline()
             assert line, text
             text += line
         address = re.search(r"ws://127\.0\.0\.1:\d+/\?token=\S+", text)
-        assert address is not None
         with connect(address.group(), subprotocols=["foxglove.sdk.v1"]) as client:  # type: ignore[list-item]
             info = json.loads(client.recv(60))
             # With a client connected, Ctrl-C ends it as well.

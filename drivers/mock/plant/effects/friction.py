@@ -195,10 +195,8 @@ def load_factor(theta: float, time: float, e: Vector) -> float:
     return factor
 
 
-_RENEWAL_RAD = 1e-3
-"""Assumed sliding distance after which a rest no longer counts, rad."""
-_SMOOTHED_S = 2.5e-3
-"""Assumed time constant of the acceleration of ``x_acceleration_drag``, s."""
+_RENEWAL_RAD = 1e-3  # assumed sliding distance after which a rest no longer counts, rad
+_SMOOTHED_S = 2.5e-3  # assumed time constant of the acceleration of `x_acceleration_drag`, s
 
 
 @inlined

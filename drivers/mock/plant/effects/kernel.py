@@ -114,10 +114,8 @@ def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
     ] * math.cos(at)
 
 
-COPPER_PER_K = 0.00393
-"""Temperature coefficient of the resistance of a copper winding, 1/K."""
-MAGNET_PER_K = -0.001
-"""Relative decrease of magnet flux, torque constant and back-EMF per kelvin."""
+COPPER_PER_K = 0.00393  # temperature coefficient of the resistance of a copper winding, 1/K
+MAGNET_PER_K = -0.001  # relative decrease of magnet flux, torque constant and back-EMF per kelvin
 
 
 @inlined
@@ -243,8 +241,7 @@ def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: f
     return charge
 
 
-CONSTANTS_AT = OUTSIDE_END
-"""Start of the constants of :mod:`drivers.mock.plant.effects.table` in the effect vector."""
+CONSTANTS_AT = OUTSIDE_END  # start of the constants of `table` in the effect vector
 
 
 @inlined

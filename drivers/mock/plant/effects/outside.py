@@ -84,8 +84,7 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 }
 """Slot and range of each parameter of each effect."""
 
-_ROOT_FLOOR = 1e-4
-"""Speed, rad/s, below which the drag is linear, so that its slope is finite."""
+_ROOT_FLOOR = 1e-4  # speed, rad/s, below which the drag is linear, so that its slope is finite
 
 
 @inlined

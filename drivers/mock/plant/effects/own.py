@@ -225,4 +225,6 @@ def _words(error: BaseException, path: Path, line: int | None = None) -> str:
     text = error.msg if isinstance(error, SyntaxError) else str(error)
     if text.startswith(f"{path}:"):  # the error knows its place
         return text
+    if names := getattr(getattr(error, "obj", None), "_fields", ()):
+        text += f"; the parameters are {', '.join(names)}"
     return f"{path}{'' if line is None else f':{line}'}: {type(error).__name__}: {text}"

@@ -103,8 +103,7 @@ class Parameter(NamedTuple):
 
 _PHASE = (-6.3, 6.3)
 _LONGEST_DELAY_S = 0.1
-STEADY_DRIFT_S = 1e6
-"""Time constant of a drift without saturation, s."""
+STEADY_DRIFT_S = 1e6  # time constant of a drift without saturation, s
 
 CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "cogging": {
@@ -273,5 +272,4 @@ supply voltage.
     CONSTANTS_SIZE,
 ) = range(8)
 
-HISTORY = 4096
-"""Number of stored past loop periods; a power of two."""
+HISTORY = 4096  # number of stored past loop periods; a power of two

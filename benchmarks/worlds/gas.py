@@ -1,10 +1,10 @@
-"""Makes a blind gas trial: seals its truth, simulates and writes its firings."""
+"""Draws, simulates and seals firings of the simulated gas generator with an injected effect."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -17,12 +17,13 @@ from drivers.mock.without_bus import Samples, record
 from rig.common.places import replacing, write_text
 from rig.config.sequence import raised_cosine
 from rig.results.prove.draw import Assigned, Draw, Kind, apportion, either, in_turn, log
+from rig.results.prove.engine import Engine
 from rig.results.prove.excitation import CYCLE_S, Array
-from rig.results.prove.truth import Sealed, place_of_trial, repeated_salt, seal_truth
+from rig.results.prove.run import Made, Progress, Task, made, making, seal_all
+from rig.results.prove.truth import Sealed, seal_truth
 
 BURN_S = 20.0
-MOVE_S = 0.25
-"""Duration of a step of the valve, s."""
+MOVE_S = 0.25  # duration of a step of the valve, s
 
 
 class GasExperiment(NamedTuple):
@@ -77,10 +78,8 @@ RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05,
 """Deviation of true constants from the campaign file's: relative; absolute for the exponent."""
 GRAIN_SPREAD = 0.03
 """Relative scatter of the free volumes within a trial, which comes from different grain lengths."""
-NOISE_SHARES = (0.001, 0.0025)
-"""Noise of the transmitter as a share of its range."""
-ZERO_SHARE = 0.0003
-"""Largest zero error of the transmitter after taring, as a share of its range."""
+NOISE_SHARES = (0.001, 0.0025)  # noise of the transmitter as a share of its range
+ZERO_SHARE = 0.0003  # largest zero error of the transmitter after taring, as a share of its range
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
 """Largest errors of valve dimensions and encoder zero, and delay of the pressure."""
 
@@ -107,22 +106,14 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
 
 
 class GasRig(NamedTuple):
-    """Drawn data of one gas trial.
+    """Drawn data of one gas trial."""
 
-    Attributes:
-        kind: Kind of trial: no effect, one of the catalogue, or one outside it.
-        volumes_m3: Free volume of each firing.
-        angle_zero_rad: True minus recorded valve angle.
-        pressure_zero_Pa: Recorded pressure minus transmitter pressure.
-        late_cycles: Delay of pressure relative to angle, cycles.
-    """
-
-    kind: Kind
+    kind: Kind  # kind of trial: no effect, one of the catalogue, or one outside it
     machine: Machine
-    volumes_m3: tuple[float, ...]
-    angle_zero_rad: float
-    pressure_zero_Pa: float
-    late_cycles: int
+    volumes_m3: tuple[float, ...]  # free volume of each firing
+    angle_zero_rad: float  # true minus recorded valve angle
+    pressure_zero_Pa: float  # recorded pressure minus transmitter pressure
+    late_cycles: int  # delay of pressure relative to angle, cycles
     seed: int
 
 
@@ -192,47 +183,56 @@ shows the gas only through friction.
 """
 
 
-def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
-    """Draw a trial, and write and seal its truth; nothing is simulated yet."""
-    rig = draw_gas(*assigned, seed)
+def seal_gas(
+    home: Path,
+    rigs: int,
+    seed: int,
+    engine: Engine,
+    progress: Progress,
+    salt: Callable[[int], str],
+) -> list[Sealed]:
+    """Draw, simulate and seal firings; return the rigs with their digests."""
+    drawn = list(enumerate(gas_assignment(rigs, seed), start=1))
+    return seal_all(home, drawn, partial(seal_one, seed=seed), engine, progress, salt)
+
+
+def seal_one(task: Task, seed: int) -> Made:
+    """Simulate and seal one rig in a temporary folder."""
+    with making(task.number) as where:
+        rig = draw_gas(*task.assigned, (seed, task.number))
+        burns = campaign(rig)
+        write(where.campaign, burns)
+        truth = truth_of(rig)
+        if rig.machine.effects:
+            plain = campaign(rig._replace(machine=replace(rig.machine, effects={})))
+            changes = np.concatenate(
+                [a.pressure - b.pressure for a, b in zip(burns, plain, strict=True)]
+            )
+            noise = rig.machine.gas.transmitter.noise_Pa
+            truth["strength"] = {"pressure": float(np.sqrt(np.mean(changes**2))) / noise}
+        seal_truth(where, where.name, truth, task.salt)
+        return made(where)
+
+
+def truth_of(rig: GasRig) -> dict[str, Any]:
+    """Return the sealed content of a rig."""
     gas = rig.machine.gas
+    pairs = zip(rig.volumes_m3, gas_experiments(), strict=True)
+    fitted = [volume for volume, e in pairs if e.role == "fit"]
     drawn = {k: v for k, v in rig._asdict().items() if k not in ("kind", "machine")}
-    truth = {
+    return {
         "effects": rig.machine.effects,
         "parameters": {
             "a": 1e-3 * gas.burning_rate_mm_s,
             "n": gas.pressure_exponent,
             "C_r": gas.characteristic_velocity_m_s,
-            "V_0": float(
-                np.mean(
-                    [
-                        v
-                        for v, e in zip(rig.volumes_m3, gas_experiments(), strict=True)
-                        if e.role == "fit"
-                    ]
-                )
-            ),
+            "V_0": float(np.mean(fitted)),
             "d": gas.valve.hole_diameter_m,
             "D": gas.valve.opening_diameter_m,
             "b": gas.valve.plate_width_m,
         },
         "maker": {**drawn, "machine": asdict(rig.machine)},
     }
-    return seal_truth(place_of_trial(out, number), number, truth, repeated_salt(*seed))
-
-
-def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:
-    """Simulate a trial, write its campaign, and return its effect's strength in the pressure."""
-    rig = draw_gas(*assigned, seed)
-    burns = campaign(rig)
-    write(where.campaign, burns)
-    if not rig.machine.effects:
-        return {}
-    reference = campaign(rig._replace(machine=replace(rig.machine, effects={})))
-    changes = np.concatenate(
-        [a.pressure - b.pressure for a, b in zip(burns, reference, strict=True)]
-    )
-    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.gas.transmitter.noise_Pa}
 
 
 def campaign(rig: GasRig) -> list[Samples]:
