@@ -49,7 +49,9 @@ MOST_COVERS, LEAST_SHOWN = 4, 0.05
 hypothesis' probability from which such an experiment has shown something.
 """
 VAIN = 2
-"""Number of experiments that were to separate a pair and did not, after which it is given up."""
+"""Number of experiments that were to separate a pair and did not, after which it is given up; and
+of those that cover and show nothing, before the verdict *nothing missing*.
+"""
 LEAST_HELD = 0.8
 """Share of the samples in the band of a sealed prediction below which the prediction has failed:
 the band is made for 90 %, and neighbouring samples are correlated.
@@ -536,18 +538,18 @@ class Investigation:
         return chosen.proposal
 
     def _cover_is_worth_while(self) -> bool:
-        """Whether the last experiment that covers has shown something, or none has covered since
-        the last failed prediction.
+        """Whether to run one more experiment that covers: the last ones have shown something, or
+        too few have covered since the last failed prediction.
         """
         weighed = [e for e in self.state.experiments if e.odds]
-        covers = [k for k, e in enumerate(weighed) if e.purpose == "cover"]
-        refuted = [k for k, e in enumerate(weighed) if e.purpose == "refute"]
-        if not covers or max(refuted, default=-1) > covers[-1]:
-            return len(covers) < MOST_COVERS
-        before, after = weighed[covers[-1] - 1], weighed[covers[-1]]
-        moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in after.odds.items())
-        more = moved >= LEAST_SHOWN or after.left > RULES.tested_from * before.left
-        return more and len(covers) < MOST_COVERS
+        least = VAIN if weighed[-1].verdict == Verdict.NOTHING_MISSING.value else 1
+        covers = sum(e.purpose == "cover" for e in weighed)
+        vain = 0
+        for before, e in pairwise(weighed):
+            moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in e.odds.items())
+            shown = moved >= LEAST_SHOWN or e.left > RULES.tested_from * before.left
+            vain = 0 if e.purpose == "refute" or shown else vain + (e.purpose == "cover")
+        return covers < MOST_COVERS and vain < least
 
     def _tripped(self) -> list[str]:
         """Return the names of the stages that have tripped."""

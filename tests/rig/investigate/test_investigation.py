@@ -228,11 +228,18 @@ def test_a_prediction_that_fails_is_evidence_and_the_investigation_goes_on(
     assert len({*world.folder.glob("prediction*.json")}) == kept + 1
 
 
-@pytest.mark.parametrize(("moves", "covers"), [(False, 1), (True, MOST_COVERS)])
+@pytest.mark.parametrize(
+    ("verdict", "moves", "covers"),
+    [
+        (Verdict.NAMED, False, 1),
+        (Verdict.NOTHING_MISSING, False, VAIN),
+        (Verdict.NAMED, True, MOST_COVERS),
+    ],
+)
 def test_experiments_that_cover_go_on_while_they_show_something(
-    world: World, moves: bool, covers: int
+    world: World, verdict: Verdict, moves: bool, covers: int
 ) -> None:
-    world.verdict, world.per_run = Verdict.NOTHING_MISSING, 9.0
+    world.verdict, world.per_run = verdict, 9.0
     world.outside = (lambda runs: runs % 2) if moves else (lambda _: 0.01)
     state = new()
     world.begin(state).run()
