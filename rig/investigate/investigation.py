@@ -509,14 +509,7 @@ class Investigation:
             if found is None or found.purpose == "cover"
         ]
         if found is None:
-            state.ended = why or (
-                "no experiment within limits, weights and channels of this bench separates the rest"
-                if rivals
-                else "every rival is rejected, and experiments that show what the others did not "
-                "changed nothing"
-                if first.names
-                else "experiments that show what the others did not changed nothing"
-            )
+            state.ended = why or _why_no_more(judged)
         return found
 
     def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
@@ -589,6 +582,18 @@ class Investigation:
         self.state.confirmation |= found.record()
         self.state.save(self._folder)
         return found
+
+
+def _why_no_more(judged: Judgement) -> str:
+    """Return why no experiment is worth while."""
+    first, named = judged.weighed.hypotheses[0], {e.name for e in judged.diagnosis.effects}
+    if judged.weighed.rivals:
+        return "no experiment within limits, weights and channels of this bench separates the rest"
+    if named and named != {*first.names}:
+        said = " and ".join(map(spoken, sorted(named)))
+        return f"{spoken(first.name)} has the greatest likelihood, but the diagnosis selects {said}"
+    rejected = "every rival is rejected, and " if first.names else ""
+    return f"{rejected}experiments that show what the others did not changed nothing"
 
 
 def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:
