@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.comparison import implausible, preference, probability
+from identification.diagnosis.crossing import distinguished_by_crossings
 from identification.diagnosis.joint import Added, Joint, contribution, with_noise
 from identification.diagnosis.judgement import little_unseen
 from identification.diagnosis.linear import effect_derivatives
@@ -155,12 +156,12 @@ def weigh(
         fitted += [_Fitted(joint) for joint in tried if joint is not None]
     best = fitted[0].joint
     for one in fitted:
-        better = not one.beyond and level(best, one.joint) < -RULES.simpler
+        judged = one.known is None and not one.beyond
+        better = judged and level(best, one.joint) < -RULES.simpler
         best = one.joint if better else best
     hypotheses = []
     for one in fitted:
-        behind = level(best, one.joint)
-        behind = min(behind, 0.0) if one.alike else behind
+        behind = level(best, one.joint) if one.known is None else one.known
         if not wanted or {*one.names} <= {*wanted}:
             weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
             hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))
@@ -190,12 +191,13 @@ def level(best: Joint, joint: Joint) -> float:
 
 
 class _Fitted(NamedTuple):
-    """A fit, and whether the recordings cannot distinguish it from the identified effects although
-    its regressors differ.
+    """A fit, and its gap to the identified effects where the rows do not decide: zero if the
+    recordings cannot distinguish effects although their regressors differ, and for a gap or a
+    hysteresis loop that of the torque during crossings, which no row contains.
     """
 
     joint: Joint
-    alike: bool = False
+    known: float | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -226,7 +228,10 @@ def _in_place_of(
             if added := [e for e in tried.effects if e.term.name == other]:
                 fits.append(found.baseline.again(tried.nominal, (*kept, *added)))
             if possible := [j for j in fits if j is not None]:
-                out.append(_Fitted(min(possible, key=lambda j: j.cost), other in alike))
+                gap = 0.0 if other in alike else None
+                if other in rivals and distinguished_by_crossings(own.term, known[other]):
+                    gap = rivals[other].preference
+                out.append(_Fitted(min(possible, key=lambda j: j.cost), gap))
     return out
 
 

@@ -217,11 +217,14 @@ def _simulated(
     avoided: Collection[str],
     cover: bool,
 ) -> _Design:
-    """Simulate every part under every hypothesis that is not rejected."""
+    """Simulate every part under every hypothesis that is not rejected; to cover, under any one
+    rather than none.
+    """
     hypotheses: list[Hypothesis] = []
     machines: list[Machine] = []
     for h in weighed.hypotheses:
-        if h.preference < REJECTED and len(hypotheses) < MOST_HYPOTHESES:
+        wanted = h.preference < REJECTED or (cover and not hypotheses)
+        if wanted and len(hypotheses) < MOST_HYPOTHESES:
             with suppress(InputError):  # an effect that the simulated machine cannot have
                 machines.append(bench.machine(h.model))
                 hypotheses.append(h)

@@ -251,8 +251,10 @@ class SimulatedBench:
         Raises:
             InputError: The machine cannot represent an effect of the model.
         """
-        # Friction that does not fall has no Stribeck speed; the machine needs one.
-        values = {n: v or NOMINAL[n] if n in SPEEDS else v for n, v in model.parameters.items()}
+        # Friction that does not fall has no Stribeck speed, and a fit that misses physics may leave
+        # no inertia; the machine needs both.
+        needed = {*SPEEDS, "J"}
+        values = {n: v or NOMINAL[n] if n in needed else v for n, v in model.parameters.items()}
         model = dataclasses.replace(model, parameters=values)
         tree, notes = model_bench(self.base, model, self.constants)
         if missing := [name for name in model.effects if name not in tree["mock"]["effects"]]:

@@ -49,7 +49,9 @@ MOST_COVERS, LEAST_SHOWN = 4, 0.05
 hypothesis' probability from which such an experiment has shown something.
 """
 VAIN = 2
-"""Number of experiments that were to separate a pair and did not, after which it is given up."""
+"""Number of experiments that were to separate a pair and did not, after which it is given up; and
+of those that cover and show nothing, before the verdict *nothing missing*.
+"""
 LEAST_HELD = 0.8
 """Share of the samples in the band of a sealed prediction below which the prediction has failed:
 the band is made for 90 %, and neighbouring samples are correlated.
@@ -336,7 +338,7 @@ class Investigation:
         say: Callable[[str], None],
         progress: Progress,
     ) -> None:
-        self._bench = SimulatedBench.of(bench)
+        self.bench = SimulatedBench.of(bench)
         self._folder, self.state = folder, state
         self._carry_out, self._say, self._progress = carry_out, say, progress
 
@@ -357,7 +359,7 @@ class Investigation:
                 self._experiment(proposal)
                 judged = self._judge()
             state.save(self._folder)
-            final = judge(self._done(), state.seed, state.question, self._progress, True)
+            final = self.judged(refine=True)
             if not self._confirming() and state.left_s > 0.0:
                 self._confirm(final)
             found = self._compare()
@@ -413,18 +415,30 @@ class Investigation:
                 self.state.experiments.remove(e)
                 self._say(f"{e.run}: was planned but did not begin; it is designed again")
                 continue
-            e.state = self._ended(self._place(e.run))
+            e.state = self.ended(self._place(e.run))
             self._say(f"{e.run}: found as {e.state}; its recordings are used, it is not repeated")
         self.state.save(self._folder)
 
-    @staticmethod
-    def _ended(folder: Path) -> str:
+    def judged(self, refine: bool = False) -> Judgement:
+        """Diagnose all runs but the confirming one; see :func:`judge`."""
+        return judge(self._done(), self.state.seed, self.state.question, self._progress, refine)
+
+    def recordings(self, folder: Path) -> Dataset:
+        """Return the recordings of a run."""
+        return load_run(folder)
+
+    def began(self, folder: Path) -> bool:
+        """Whether a run has begun."""
+        return is_file(folder / RUN_FILE)
+
+    def ended(self, folder: Path) -> str:
+        """Return the state of a run that has ended."""
         record = read_record(folder)
         return Ending.CRASHED.value if record.state == "running" else record.state
 
     def _first(self) -> None:
         sequence = load_sequence(self.state.first)
-        plan = make_plan(sequence, self._bench.document)
+        plan = make_plan(sequence, self.bench.document)
         changes = weight_changes(plan.stages)
         e = _planned("the first run", bench_seconds(plan), changes, "first")
         self._carry(e, sequence.value)
@@ -443,8 +457,8 @@ class Investigation:
         try:
             self._carry_out(path, self._folder / e.run)
         finally:
-            if is_file(self._folder / e.run / RUN_FILE):
-                e.state = self._ended(self._folder / e.run)
+            if self.began(self._folder / e.run):
+                e.state = self.ended(self._folder / e.run)
             else:
                 self.state.experiments.remove(e)
             self.state.save(self._folder)
@@ -457,7 +471,7 @@ class Investigation:
         self._carry(e, p.sequence.value)
 
     def _judge(self) -> Judgement:
-        judged = judge(self._done(), self.state.seed, self.state.question, self._progress)
+        judged = self.judged()
         weighed = judged.weighed
         last = [e for e in self.state.experiments if e.purpose != "confirm"][-1]
         last.odds, last.verdict = weighed.odds, judged.diagnosis.verdict.value
@@ -495,21 +509,14 @@ class Investigation:
             if found is None or found.purpose == "cover"
         ]
         if found is None:
-            state.ended = why or (
-                "no experiment within limits, weights and channels of this bench separates the rest"
-                if rivals
-                else "every rival is rejected, and experiments that show what the others did not "
-                "changed nothing"
-                if first.names
-                else "experiments that show what the others did not changed nothing"
-            )
+            state.ended = why or _why_no_more(judged)
         return found
 
     def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
         """Return an experiment that separates, or one that covers; note what none separates."""
         state = self.state
         chosen = next_experiment(
-            self._bench,
+            self.bench,
             judged,
             state.seed,
             len(state.experiments) + 1,
@@ -524,18 +531,18 @@ class Investigation:
         return chosen.proposal
 
     def _cover_is_worth_while(self) -> bool:
-        """Whether the last experiment that covers has shown something, or none has covered since
-        the last failed prediction.
+        """Whether to run one more experiment that covers: the last ones have shown something, or
+        too few have covered since the last failed prediction.
         """
         weighed = [e for e in self.state.experiments if e.odds]
-        covers = [k for k, e in enumerate(weighed) if e.purpose == "cover"]
-        refuted = [k for k, e in enumerate(weighed) if e.purpose == "refute"]
-        if not covers or max(refuted, default=-1) > covers[-1]:
-            return len(covers) < MOST_COVERS
-        before, after = weighed[covers[-1] - 1], weighed[covers[-1]]
-        moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in after.odds.items())
-        more = moved >= LEAST_SHOWN or after.left > RULES.tested_from * before.left
-        return more and len(covers) < MOST_COVERS
+        least = VAIN if weighed[-1].verdict == Verdict.NOTHING_MISSING.value else 1
+        covers = sum(e.purpose == "cover" for e in weighed)
+        vain = 0
+        for before, e in pairwise(weighed):
+            moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in e.odds.items())
+            shown = moved >= LEAST_SHOWN or e.left > RULES.tested_from * before.left
+            vain = 0 if e.purpose == "refute" or shown else vain + (e.purpose == "cover")
+        return covers < MOST_COVERS and vain < least
 
     def _tripped(self) -> list[str]:
         """Return the names of the stages that have tripped."""
@@ -549,7 +556,7 @@ class Investigation:
         state = self.state
         rng = np.random.default_rng([state.seed, len(state.experiments), 1])
         prediction = predict(
-            self._bench, final.outcome, final.weighed, rng, self._progress, state.confirm
+            self.bench, final.outcome, final.weighed, rng, self._progress, state.confirm
         )
         if prediction is None:
             self._say("no confirming experiment: the model of the result cannot be simulated")
@@ -571,10 +578,22 @@ class Investigation:
             raise InputError(
                 f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
             )
-        found = compare(read_json(path), load_run(self._place(runs[-1].run)))
+        found = compare(read_json(path), self.recordings(self._place(runs[-1].run)))
         self.state.confirmation |= found.record()
         self.state.save(self._folder)
         return found
+
+
+def _why_no_more(judged: Judgement) -> str:
+    """Return why no experiment is worth while."""
+    first, named = judged.weighed.hypotheses[0], {e.name for e in judged.diagnosis.effects}
+    if judged.weighed.rivals:
+        return "no experiment within limits, weights and channels of this bench separates the rest"
+    if named and named != {*first.names}:
+        said = " and ".join(map(spoken, sorted(named)))
+        return f"{spoken(first.name)} has the greatest likelihood, but the diagnosis selects {said}"
+    rejected = "every rival is rejected, and " if first.names else ""
+    return f"{rejected}experiments that show what the others did not changed nothing"
 
 
 def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import accumulate
@@ -19,15 +18,16 @@ import yaml
 from scipy import stats
 
 from drivers.mock.plant.parts.constants import Machine
-from identification.recording import Dataset
+from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, write_json, write_text
 from rig.common.provenance import Provenance
-from rig.config.bench import load_bench
+from rig.config.bench import Bench, load_bench
+from rig.config.configuration import Document as Located
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.investigate.experiments import SimulatedBench, bench_seconds
-from rig.investigate.investigation import judge_recordings
+from rig.investigate.experiments import bench_seconds
+from rig.investigate.investigation import Investigation, Judgement, State, judge_recordings
 from rig.planning.plan import make_plan
 from rig.results.document import Document, Section, Table, provenance_section
 from rig.results.prove.document import shares
@@ -38,6 +38,7 @@ from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_see
 from rig.results.prove.score import LEVEL, REFUSED, STRONG
 from rig.results.prove.simulate import campaign, reference_of, strength, truth_of
 from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
+from rig.runs.run_record import Ending
 
 BENCH, FIRST = "practical", "figure10"
 SHARES: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
@@ -45,8 +46,8 @@ ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in s
 """Effects that are in every run of a bench, not in one recording of a campaign alone."""
 BUDGET_MIN = 40.0
 SCHEMA = "loadrig.prove_investigate/1"
-Command = Callable[[list[str]], int]
-"""Function that carries out a command line, and returns its exit status."""
+Said = tuple[str, list[str]]
+"""Verdict, and names of the identified effects."""
 STATES = ("right", "wrong", "open", "missed")
 _ONE, _REPEATED = f"one effect, strength {STRONG:g} or more", "Figure 10 repeated as long"
 _RATES = {
@@ -75,6 +76,54 @@ class Trial(NamedTuple):
     digest: str
 
 
+class SimulatedInvestigation(Investigation):
+    """An investigation whose experiments are simulated without a bus and kept in memory; constants
+    are not refined.
+
+    Args:
+        bench: The bench, with the machine that is simulated.
+        folder: Folder of the state and the sealed predictions.
+        state: A new state.
+    """
+
+    def __init__(self, bench: Located[Bench], folder: Path, state: State) -> None:
+        super().__init__(bench, folder, state, self._simulate, lambda _: None, lambda *_: None)
+        self._kept: dict[str, tuple[Recording, ...]] = {}
+
+    def _simulate(self, sequence: Path, folder: Path) -> None:
+        self._kept[folder.name] = self.simulated(str(sequence), len(self._kept), folder.name)
+
+    def simulated(self, sequence: str, number: int, name: str) -> tuple[Recording, ...]:
+        """Return the recordings of a sequence on the machine, with noise of its own."""
+        machine = self.bench.document.value.mock
+        assert machine is not None
+        plan = make_plan(load_sequence(sequence), self.bench.document)
+        found = self.bench.simulate(plan, machine, self.state.seed + number).recordings
+        return tuple(replace(r, name=f"{name}/{r.name}") for r in found)
+
+    def judged(self, refine: bool = False) -> Judgement:
+        """Diagnose all simulated experiments but the confirming one."""
+        fitted = {e.run for e in self.state.experiments if e.purpose != "confirm"}
+        return self.judged_from([r for n, run in self._kept.items() if n in fitted for r in run])
+
+    def judged_from(self, recordings: Sequence[Recording]) -> Judgement:
+        """Diagnose recordings."""
+        place, seed = self.bench.document.path, self.state.seed
+        return judge_recordings(Dataset(tuple(recordings)), place, seed, [], lambda *_: None)
+
+    def recordings(self, folder: Path) -> Dataset:
+        """Return the recordings of an experiment."""
+        return Dataset(self._kept[folder.name])
+
+    def began(self, folder: Path) -> bool:
+        """Whether an experiment was simulated."""
+        return folder.name in self._kept
+
+    def ended(self, folder: Path) -> str:
+        """Return the state of an experiment that was simulated."""
+        return Ending.DONE.value
+
+
 def begin(out: Path, rigs: int, seed: int) -> Proof:
     """Draw and seal all machines, or continue a proof that was begun with the same settings."""
     settings = {"rigs": rigs, "seed": seed, "investigate": True}
@@ -97,7 +146,7 @@ def _assigned(rigs: int, seed: int) -> list[Assigned]:
 
 
 def work(
-    proof: Proof, command: Command, engine: Engine, progress: Callable[[str, float], None]
+    proof: Proof, engine: Engine, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """Investigate and score the machines that have no row yet; return all rows in order."""
     assigned = _assigned(len(proof.rigs), proof.seed)
@@ -106,35 +155,40 @@ def work(
         for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
         if not is_file(proof.file(ROWS, rig))
     ]
-    one = partial(prove_trial, seed=proof.seed, command=command)
     done = len(proof.rigs) - len(todo)
-    for row in engine.each(one, todo):
+    for row in engine.each(partial(prove_trial, seed=proof.seed), todo):
         done += 1
         write_json(proof.out / ROWS / f"{PREFIX}{row['rig']:04d}.json", row)
         progress(f"machine {row['rig']} investigated", done / len(proof.rigs))
     return [read_json(proof.file(ROWS, rig)) for rig in proof.rigs]
 
 
-def prove_trial(trial: Trial, seed: int, command: Command) -> dict[str, Any]:
+def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
     """Investigate one machine, repeat Figure 10 for as long, unseal and score.
 
     The bench file states what the simulated machine is; the investigation and its designs see its
     recordings only.
     """
     rig = draw(*trial.assigned, (seed, trial.number))._replace(gravity=False)
-    bench, folder = trial.folder / "bench.yaml", trial.folder / "investigation"
     trial.folder.mkdir(parents=True, exist_ok=True)
-    if not is_file(bench):
-        write_text(bench, bench_text(rig.machine))
+    bench = trial.folder / "bench.yaml"
+    write_text(bench, bench_text(rig.machine))
     own = diagnosis_seed(seed, trial.number)
-    found = _investigated(bench, folder, own, command)
-    repeated = _repeated(bench, found["bench_seconds"], own)
+    state = State({"file": str(bench)}, own, BUDGET_MIN, first=FIRST)
+    one = SimulatedInvestigation(load_bench(bench), trial.folder, state)
+    try:
+        judged, _ = one.run()
+        found = judged.diagnosis.verdict.value, [e.name for e in judged.diagnosis.effects]
+    except InputError:
+        found = REFUSED, []
+    repeated = _repeated(one)
     truth = unseal(trial.truth, trial.digest).record(trial.number)
     strengths = {}
     if truth["kind"] != "nothing":
         plan = experiments(False)
         strengths = strength(campaign(rig, plan), reference_of(rig, plan))
-    return row_of(truth, max(strengths.values(), default=0.0), found, repeated, trial.digest)
+    strongest = max(strengths.values(), default=0.0)
+    return row_of(truth, strongest, state, found, repeated, trial.digest)
 
 
 def bench_text(machine: Machine) -> str:
@@ -147,42 +201,24 @@ def bench_text(machine: Machine) -> str:
     return yaml.safe_dump({**plain, "name": "bench", "mock": json.loads(json.dumps(mock))})
 
 
-def _investigated(bench: Path, folder: Path, seed: int, command: Command) -> dict[str, Any]:
-    """Return the result of an investigation, begun, gone on with, or finished."""
-    file = folder / "investigate.json"
-    more = ["--resume"] if is_file(folder / "investigation.json") else [FIRST]
-    words = ["investigate", *more, "--bench", str(bench), "--out", str(folder), "--yes"]
-    log = folder.with_suffix(".log")
-    with open(log, "a", encoding="utf-8") as said, redirect_stdout(said), redirect_stderr(said):
-        if not is_file(file):
-            command([*words, "--budget", f"{BUDGET_MIN:g}", "--seed", f"{seed}"])
-    nothing = {"verdict": REFUSED, "effects": [], "experiments": [], "bench_seconds": 0.0}
-    return dict(read_json(file)) if is_file(file) else {**nothing, "confirmation": None}
-
-
-def _repeated(bench: Path, least_s: float, seed: int) -> dict[str, Any]:
-    """Return what Figure 10 identifies, repeated for at least as long."""
-    document = load_bench(bench)
-    simulated, machine = SimulatedBench.of(document), document.value.mock
-    assert machine is not None
-    plan = make_plan(load_sequence(FIRST), document)
-    runs = [
-        simulated.simulate(plan, machine, seed + k).recordings
-        for k in range(max(1, math.ceil(least_s / bench_seconds(plan))))
-    ]
-    every = tuple(replace(r, name=f"{k}/{r.name}") for k, run in enumerate(runs) for r in run)
+def _repeated(one: SimulatedInvestigation) -> Said:
+    """Return what Figure 10 identifies, repeated for at least as long as an investigation."""
+    each = bench_seconds(make_plan(load_sequence(FIRST), one.bench.document))
+    times = max(1, math.ceil(one.state.bench_seconds / each))
+    recordings = [r for k in range(times) for r in one.simulated(FIRST, k, f"{k}")]
     try:
-        found = judge_recordings(Dataset(every), bench, seed, [], lambda *_: None).diagnosis
+        found = one.judged_from(recordings).diagnosis
     except InputError:
-        return {"verdict": REFUSED, "named": []}
-    return {"verdict": found.verdict.value, "named": [e.name for e in found.effects]}
+        return REFUSED, []
+    return found.verdict.value, [e.name for e in found.effects]
 
 
 def row_of(
     truth: Mapping[str, Any],
     strongest: float,
-    found: Mapping[str, Any],
-    repeated: Mapping[str, Any],
+    state: State,
+    found: Said,
+    repeated: Said,
     digest: str,
 ) -> dict[str, Any]:
     """Score an investigation against the truth of its machine.
@@ -193,26 +229,27 @@ def row_of(
     minutes after which the verdict was the final one; null unless it is right. ``held``: share of
     the samples in the sealed band.
     """
-    names, identified = list(truth["effects"]), [e["name"] for e in found["effects"]]
-    state = state_of(truth["kind"], names, found["verdict"], identified)
-    judged = [e for e in found["experiments"] if e["purpose"] != "confirm"]
-    minutes = [s / 60.0 for s in accumulate(e["seconds"] for e in judged)]
-    other = [k for k, e in enumerate(judged) if e["verdict"] != found["verdict"]]
-    at = max(other, default=-1) + 1
+    verdict, named = found
+    kind, names = truth["kind"], list(truth["effects"])
+    scored = state_of(kind, names, verdict, named)
+    judged = [e for e in state.experiments if e.purpose != "confirm"]
+    minutes = [s / 60.0 for s in accumulate(e.seconds for e in judged)]
+    at = max((k for k, e in enumerate(judged) if e.verdict != verdict), default=-1) + 1
     return {
         "rig": truth["rig"],
         "sha256": digest,
-        "kind": truth["kind"],
+        "kind": kind,
         "effects": names,
         "strength": strongest,
-        "verdict": found["verdict"],
-        "named": identified,
-        "state": state,
-        "repeated": state_of(truth["kind"], names, repeated["verdict"], repeated["named"]),
-        "to_name": [at + 1, minutes[at]] if state == "right" and at < len(minutes) else None,
-        "experiments": len(found["experiments"]),
-        "minutes": found["bench_seconds"] / 60.0,
-        "held": (found["confirmation"] or {}).get("band_held"),
+        "verdict": verdict,
+        "named": named,
+        "state": scored,
+        "repeated": state_of(kind, names, *repeated),
+        "to_name": [at + 1, minutes[at]] if scored == "right" and at < len(minutes) else None,
+        "experiments": len(state.experiments),
+        "minutes": state.bench_seconds / 60.0,
+        "held": state.confirmation.get("band_held"),
+        "refuted": len(state.refuted),
     }
 
 

@@ -202,15 +202,6 @@ def _show(
     click.echo(f"report: {out / PAGE_FILE}")
 
 
-def _command(words: list[str]) -> int:
-    """Carry out a command line; Ctrl-C ends the proof too."""
-    from rig.cli.entry import STOPPED, status
-
-    if (code := status(words)) == STOPPED:
-        raise KeyboardInterrupt
-    return code
-
-
 def _investigate(
     out: Path, rigs: int, seed: int, engine: Engine, started: float, json_file: Path | None
 ) -> None:
@@ -226,7 +217,7 @@ def _investigate(
     for sealed in proof.rigs:
         click.echo(f"machine {sealed.name} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
-        rows = work(proof, _command, engine, bar)
+        rows = work(proof, engine, bar)
     provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     result = proof_record(rows, provenance)
     write_record(result, out / RESULT_FILE, json_file)

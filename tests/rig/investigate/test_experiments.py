@@ -106,6 +106,13 @@ def test_the_truth_of_a_simulated_bench_is_not_known(tmp_path: Path) -> None:
     assert machine.sensing.current_noise_A == 0.0
 
 
+def test_a_misfit_without_inertia_or_fall_of_friction_can_be_simulated() -> None:
+    bench = SimulatedBench.of(load_bench("practical"))
+    machine = bench.machine(CorrectedModel({**NOMINAL, "J": 0.0, "omega_sf": 0.0}))
+    assert machine.joint.inertia_kg_m2 == pytest.approx(NOMINAL["J"])
+    assert machine.joint.omega_sf_rad_s == NOMINAL["omega_sf"]
+
+
 def test_a_model_that_no_machine_can_have_is_refused() -> None:
     bench = SimulatedBench.of(load_bench("practical"))
     with pytest.raises(InputError, match="J"):

@@ -74,6 +74,7 @@ class World:
     kill_at: int = -1
     trips: bool = False
     indistinct: bool = False
+    selected: str = ""
     held: tuple[float, ...] = ()
     moments: int = 0
     outside: Callable[[int], float] = lambda _: 0.01
@@ -89,7 +90,9 @@ class World:
     def judge(self, folders: list[Path], *_: Any) -> Any:
         self.moment()
         preference = self.per_run * (len(folders) - 1)
-        diagnosis = SimpleNamespace(verdict=self.verdict, fit=SimpleNamespace(bandwidth_Hz=25.0))
+        fit = SimpleNamespace(bandwidth_Hz=25.0)
+        effects = [SimpleNamespace(name=self.selected)] if self.selected else []
+        diagnosis = SimpleNamespace(verdict=self.verdict, fit=fit, effects=effects)
         outcome = SimpleNamespace(diagnosis=diagnosis)
         return SimpleNamespace(
             outcome=outcome,
@@ -207,6 +210,13 @@ def test_what_no_experiment_separates_is_ambiguous_and_says_what_would(world: Wo
     assert "separate" not in purposes(state)
 
 
+def test_a_selection_that_is_not_the_most_likely_one_is_told(world: World) -> None:
+    world.per_run, world.selected = 9.0, "backlash"
+    state = new()
+    world.begin(state).run()
+    assert all(name in state.ended for name in ("cogging", "backlash"))
+
+
 def test_a_pair_is_given_up_after_two_experiments_in_vain(world: World) -> None:
     world.per_run = 0.0
     state = new()
@@ -228,11 +238,18 @@ def test_a_prediction_that_fails_is_evidence_and_the_investigation_goes_on(
     assert len({*world.folder.glob("prediction*.json")}) == kept + 1
 
 
-@pytest.mark.parametrize(("moves", "covers"), [(False, 1), (True, MOST_COVERS)])
+@pytest.mark.parametrize(
+    ("verdict", "moves", "covers"),
+    [
+        (Verdict.NAMED, False, 1),
+        (Verdict.NOTHING_MISSING, False, VAIN),
+        (Verdict.NAMED, True, MOST_COVERS),
+    ],
+)
 def test_experiments_that_cover_go_on_while_they_show_something(
-    world: World, moves: bool, covers: int
+    world: World, verdict: Verdict, moves: bool, covers: int
 ) -> None:
-    world.verdict, world.per_run = Verdict.NOTHING_MISSING, 9.0
+    world.verdict, world.per_run = verdict, 9.0
     world.outside = (lambda runs: runs % 2) if moves else (lambda _: 0.01)
     state = new()
     world.begin(state).run()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +14,8 @@ from rig.common.places import read_json
 from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
 from rig.investigate import proof
+from rig.investigate.investigation import Experiment, State
+from rig.investigate.proof import SimulatedInvestigation
 from rig.results.document import text
 from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
 from rig.results.prove.engine import Processes
@@ -40,39 +41,29 @@ def test_a_drawn_machine_is_a_bench_whose_file_hides_its_effects_in_the_simulati
 def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[list[str]] = []
+    ran: list[SimulatedInvestigation] = []
 
-    def command(words: list[str]) -> int:
-        asked.append(words)
-        if words[0] == "investigate":
-            folder = Path(words[words.index("--out") + 1])
-            folder.mkdir()
-            each = {"seconds": 60.0, "purpose": "separate", "verdict": "ambiguous"}
-            last = {**each, "verdict": "nothing_missing"}
-            found = {
-                "verdict": "nothing_missing",
-                "effects": [],
-                "experiments": [each, last, {**last, "purpose": "confirm"}],
-                "bench_seconds": 180.0,
-                "confirmation": {"band_held": 0.9},
-            }
-            (folder / "investigate.json").write_text(json.dumps(found))
-        return 0
+    def run(self: SimulatedInvestigation) -> Any:
+        ran.append(self)
+        self._first()
+        return SimpleNamespace(diagnosis=verdict), None
 
     verdict = SimpleNamespace(verdict=Verdict.NOTHING_MISSING, effects=())
+    monkeypatch.setattr(SimulatedInvestigation, "run", run)
     monkeypatch.setattr(proof, "judge_recordings", lambda *_: SimpleNamespace(diagnosis=verdict))
     for name in ("campaign", "reference_of"):
         monkeypatch.setattr(proof, name, lambda *_: [])
     monkeypatch.setattr(proof, "strength", lambda *_: {"current": 5.0})
     begun = proof.begin(tmp_path, 2, 4)
-    rows = proof.work(begun, command, Processes(1), quiet)
+    rows = proof.work(begun, Processes(1), quiet)
     assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
         ("one", "missed", "missed")
     ] * 2
     assert [r["sha256"] for r in rows] == [s.digest for s in begun.rigs]
-    asked.clear()
-    assert proof.work(proof.begin(tmp_path, 2, 4), command, Processes(1), quiet) == rows
-    assert asked == []
+    assert [len(one.state.experiments) for one in ran] == [1, 1]
+    ran.clear()
+    assert proof.work(proof.begin(tmp_path, 2, 4), Processes(1), quiet) == rows
+    assert ran == []
     found = proof.figures(rows)
     assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
     assert found["alarms"]["of"] == found["outside"]["of"] == 0
@@ -105,12 +96,10 @@ def test_the_states(kind: str, verdict: str, named: list[str], state: str) -> No
 
 def test_the_name_costs_what_was_spent_until_the_verdict_did_not_change_any_more() -> None:
     said = ("ambiguous", "named", "ambiguous", "named", "named")
-    experiments = [{"purpose": "cover", "seconds": 60.0, "verdict": v} for v in said]
-    found = {"verdict": "named", "effects": [{"name": "backlash"}], "experiments": experiments}
+    state = State({}, 0)
+    state.experiments = [Experiment("", "", "", 60.0, 0, "done", "cover", verdict=v) for v in said]
     truth = {"rig": 1, "kind": "one", "effects": {"backlash": {}}}
-    more = {"bench_seconds": 300.0, "confirmation": None}
-    repeated = {"verdict": "named", "named": ["cogging"]}
-    row = proof.row_of(truth, 9.0, {**found, **more}, repeated, "")
+    row = proof.row_of(truth, 9.0, state, ("named", ["backlash"]), ("named", ["cogging"]), "")
     assert row["to_name"] == [4, 4.0]
     assert row["repeated"] == "wrong"
 
