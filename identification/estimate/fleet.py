@@ -21,10 +21,8 @@ LEVEL = 0.01
 """Probability with which a fleet without an odd unit has one named, and below which shared
 parameters count as different.
 """
-LEAST_UNITS = 3
-"""Least number of units with a mean and a spread."""
-LEAST_JUDGED = 5
-"""Least number of units of which one can be odd."""
+LEAST_UNITS = 3  # least number of units with a mean and a spread
+LEAST_JUDGED = 5  # least number of units of which one can be odd
 _FAR = 3.0
 _MIDDLE = float(special.ndtri(0.75))
 
@@ -61,54 +59,37 @@ class Value:
 
 @dataclass(frozen=True)
 class Population:
-    """Mean and standard deviation of a parameter over the units, with 90 % intervals.
-
-    Attributes:
-        mean: The mean.
-        spread: The standard deviation between units, beyond the uncertainty of the estimates.
-        units: Number of units whose recordings determine the parameter.
-        error: Standard deviation of the mean.
-    """
+    """Mean and standard deviation of a parameter over the units, with 90 % intervals."""
 
     mean: Value
-    spread: Value
-    units: int
-    error: float
+    spread: Value  # the standard deviation between units, beyond the uncertainty of the estimates
+    units: int  # number of units whose recordings determine the parameter
+    error: float  # standard deviation of the mean
 
 
 @dataclass(frozen=True)
 class Odd:
-    """A parameter of a unit that differs from the other units.
-
-    Attributes:
-        ratio: Difference from the mean of the others over its standard deviation.
-        p_value: Probability of one such unit in a fleet without an odd unit.
-    """
+    """A parameter of a unit that differs from the other units."""
 
     unit: str
     parameter: str
-    ratio: float
-    p_value: float
+    ratio: float  # difference from the mean of the others over its standard deviation
+    p_value: float  # probability of one such unit in a fleet without an odd unit
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """Result for all units.
+    """Result for all units."""
 
-    Attributes:
-        shared: Parameters that are the same in all units.
-        shared_p_value: Probability of the differences between the units' estimates of these
-            parameters, if they are the same; None if nothing is shared.
-        populations: Parameters that differ between units.
-        units: Unit to its parameters. A unit that is not odd borrows from the others what its own
-            recordings do not determine well.
-        odd: What is odd, the least probable first; these units are left out of the others' values.
-    """
-
-    shared: Mapping[str, Value]
+    shared: Mapping[str, Value]  # parameters that are the same in all units
+    # Probability of the differences between the units' estimates of these parameters, if they are
+    # the same; None if nothing is shared.
     shared_p_value: float | None
-    populations: Mapping[str, Population]
+    populations: Mapping[str, Population]  # parameters that differ between units
+    # Unit to its parameters. A unit that is not odd borrows from the others what its own recordings
+    # do not determine well.
     units: Mapping[str, Mapping[str, Value]]
+    # What is odd, the least probable first; these units are left out of the others' values.
     odd: tuple[Odd, ...] = field(default=())
 
 

@@ -120,18 +120,13 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Components:
-    """Parts of the scatter of grouped values.
+    """Parts of the scatter of grouped values."""
 
-    Attributes:
-        parts: Standard deviation of :data:`REPEATABILITY` and of each factor that was separated.
-        between: Standard deviation of all factors together; None without a factor.
-        total: Standard deviation of everything together.
-        merged: Factors whose scatter the values cannot separate; another part contains it.
-    """
-
+    # Standard deviation of `REPEATABILITY` and of each factor that was separated.
     parts: Mapping[str, Scatter]
-    between: Scatter | None
-    total: Scatter
+    between: Scatter | None  # standard deviation of all factors together; None without a factor
+    total: Scatter  # standard deviation of everything together
+    # Factors whose scatter the values cannot separate; another part contains it.
     merged: tuple[str, ...]
 
 

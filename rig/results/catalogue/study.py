@@ -11,12 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from identification.numerics.arrays import plain
-from identification.numerics.spread import (
-    Components,
-    Scatter,
-    quantile,
-    variance_components,
-)
+from identification.numerics.spread import Components, Scatter, quantile, variance_components
 from rig.common.provenance import heading
 from rig.common.tables import interval, number, percent
 from rig.config.acceptance import Limit, Range
@@ -34,21 +29,15 @@ TOLERANCE_WIDTHS: Final = 6.0
 
 @dataclass(frozen=True)
 class Studied:
-    """Scatter of one constant.
-
-    Attributes:
-        runs: Number of runs that determine the constant.
-        from_intervals: Standard deviation that the intervals of the runs state; None without them.
-        tolerance: Lower and upper limit of acceptance; None without both.
-        components: Parts of the scatter; None with too few runs.
-    """
+    """Scatter of one constant."""
 
     unit: str
-    runs: int
+    runs: int  # number of runs that determine the constant
     mean: float
+    # Standard deviation that the intervals of the runs state; None without them.
     from_intervals: float | None
-    tolerance: tuple[float, float] | None
-    components: Components | None
+    tolerance: tuple[float, float] | None  # lower and upper limit of acceptance; None without both
+    components: Components | None  # parts of the scatter; None with too few runs
 
     def share(self, part: Scatter) -> float | None:
         """Return six standard deviations over the width of the tolerance; None without one."""
@@ -68,20 +57,14 @@ class Studied:
 
 @dataclass(frozen=True)
 class Study:
-    """Runs of one bench, and the scatter of their constants.
-
-    Attributes:
-        runs: Folder, begin, day (UTC) and operator of each run.
-        constants: Scatter by the name of the constant.
-        left_out: Runs that do not count, with the reason.
-    """
+    """Runs of one bench, and the scatter of their constants."""
 
     bench: str
     simulated: bool | None
     method: str
-    runs: tuple[Mapping[str, str], ...]
-    constants: Mapping[str, Studied]
-    left_out: tuple[str, ...]
+    runs: tuple[Mapping[str, str], ...]  # folder, begin, day (UTC) and operator of each run
+    constants: Mapping[str, Studied]  # scatter by the name of the constant
+    left_out: tuple[str, ...]  # runs that do not count, with the reason
 
     @property
     def merged(self) -> dict[str, list[str]]:
