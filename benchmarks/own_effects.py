@@ -97,12 +97,12 @@ def _strengths(rig: Rig, recorded: Any, plan: Any, first: Joint) -> dict[str, fl
 
 
 def rate(count: int, of: int) -> str:
-    """Return a count with its 95 % Clopper-Pearson interval."""
+    """Return a count with its 95 % interval by Wilson."""
     if not of:
         return "0 of 0"
-    low = stats.beta.ppf(0.025, count, of - count + 1) if count else 0.0
-    high = stats.beta.ppf(0.975, count + 1, of - count) if count < of else 1.0
-    return f"{count} of {of}, {100.0 * count / of:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+    found = stats.binomtest(count, of).proportion_ci(0.95, "wilson")
+    ends = f"{100.0 * found.low:.0f} to {100.0 * found.high:.0f}"
+    return f"{count} of {of}, {100.0 * count / of:.0f} % ({ends})"
 
 
 def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
@@ -114,9 +114,10 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
             shown = [r for r in own if r[key] >= VISIBLE]
             first = [r for r in shown if r["found"] and r["found"][0]["name"] == r["effect"]]
             group = [r for r in shown if r["found"] and r["effect"] in r["found"][0]["alias_group"]]
+            missed = [f"{r['effect']} {r['number']}" for r in shown if r not in group]
             yield (
                 f"{name or 'all'}, {words}: first {rate(len(first), len(shown))}; in the alias "
-                f"group {rate(len(group), len(shown))}"
+                f"group {rate(len(group), len(shown))}; missed: {', '.join(missed) or 'none'}"
             )
     inside = [
         p[1] <= r["true"][n] <= p[2]
@@ -128,7 +129,8 @@ def summary(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield f"parameters within their 90 % interval: {rate(sum(inside), len(inside))}"
     nothing = [r for r in rows if not r["effect"]]
     alarms = [r for r in nothing if r["verdict"] != "nothing_missing"]
-    yield f"nothing hidden: alarms {rate(len(alarms), len(nothing))}"
+    named = ", ".join(str(r["number"]) for r in alarms) or "none"
+    yield f"nothing hidden: alarms {rate(len(alarms), len(nothing))}: {named}"
 
 
 def main() -> None:

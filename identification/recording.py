@@ -267,6 +267,7 @@ class Recording:
         partial: Whether the run stopped before the end of the command of this recording.
         start: Session time of the first sample, s, or None if only the recording's own time stamps
             are known.
+        unit: Name of the machine, if a dataset has recordings of several of one kind.
         uncertainties: Standard deviations of known constants, by their place in this record
             (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); constants that are not
             listed count as exact.
@@ -288,6 +289,7 @@ class Recording:
     notes: tuple[str, ...]
     partial: bool
     start: float | None
+    unit: str
     uncertainties: Mapping[str, float]
 
     def __init__(
@@ -323,6 +325,7 @@ class Recording:
         notes: tuple[str, ...] = (),
         partial: bool = False,
         start: float | None = None,
+        unit: str = "",
         uncertainties: Mapping[str, float] | None = None,
     ) -> None:
         """Take signals by the names and in the units of :data:`CHANNELS`, or as a table

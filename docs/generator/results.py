@@ -17,6 +17,7 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.diagnosis import result as diagnosis
+from identification.estimate.fleet import Fleet, Odd, Population, Value
 from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
@@ -41,6 +42,7 @@ from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
 from rig.results.catalogue.compare import Figure
+from rig.results.catalogue.study import Studied, Study
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 from rig.sources.look import Clock, Column, Look
@@ -56,6 +58,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:transfer_record",
         "rig.results.identify.identify:comparison_record",
     ),
+    "rig identify of several units: fleet.json": ("rig.results.fleet:fleet_record",),
     "rig identify --plan: plan file": (
         "rig.results.identify.design:plan_record",
         "rig.results.identify.design:_intervals_record",
@@ -65,6 +68,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.model_file:diagnosis_record",
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
+    "rig investigate: investigate.json": (
+        "rig.investigate.page:investigation_record",
+        "rig.investigate.investigation:Investigation._next",
+    ),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
         "rig.results.identify.simulate:_case_record",
@@ -109,8 +116,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig runs study --json": (
         "rig.results.catalogue.study:study_record",
-        "rig.results.catalogue.study:_record",
-        "rig.results.catalogue.study:studies",
+        "rig.results.catalogue.study:_about",
     ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
@@ -120,6 +126,11 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
         "rig.results.paper.tables:_entry",
+    ),
+    "rig prove --investigate: prove.json": (
+        "rig.investigate.proof:figures",
+        "rig.investigate.proof:proof_record",
+        "rig.investigate.proof:row_of",
     ),
     "rig prove: prove.json": (
         "rig.results.prove.score:proof_record",
@@ -156,13 +167,14 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
             Spread,
         ),
     ),
+    "rig identify of several units: fleet.json": (Fleet, Odd, Population, Value),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
-    "rig runs study --json": (Scatter,),
+    "rig runs study --json": (Scatter, Studied, Study),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
 }
@@ -197,6 +209,19 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
         }
     ),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
+    "rig investigate: investigate.json": frozenset(
+        {
+            *("run", "sequence", "reason", "seconds", "weight_changes", "state", "purpose"),
+            *("predicted_sha256", "band_held", "error_rms", "floor_rms", "verdict"),
+        }
+    ),
+    "rig prove --investigate: prove.json": frozenset(
+        {
+            *("right", "wrong", "open", "missed", "right_all", "wrong_all", "open_all"),
+            *("missed_all", "repeated_right", "repeated_wrong", "repeated_open"),
+            *("repeated_missed", "experiments_to_name", "minutes_to_name"),
+        }
+    ),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),
 }

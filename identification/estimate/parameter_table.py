@@ -388,7 +388,10 @@ def tradeoffs(
             if abs(rho) >= TRADE_OFF:
                 second = names[k]
                 pinned = _pinned(first, second, spread, values, units)
-                words = f"{first} and {second} are correlated (correlation {rho:+.3f}): {pinned}"
+                words = (
+                    f"the errors of {first} and {second} depend on each other (correlation "
+                    f"{rho:+.3f}): {pinned}"
+                )
                 found.append(Tradeoff((first, second), rho, words))
     return tuple(sorted(found, key=lambda pair: -abs(pair.correlation)))
 
@@ -409,7 +412,7 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
     changes = [f"{name} by {share:+.2g} %" for name, share in shown]
     where = (
-        f"{shown[0][0]} alone" if len(shown) == 1 else "a joint change of " + " and ".join(changes)
+        f"{shown[0][0]} alone" if len(shown) == 1 else f"the combination {' with '.join(changes)}"
     )
     upper = np.triu(np.abs(correlation), 1)
     line = (

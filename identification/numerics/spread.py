@@ -104,7 +104,6 @@ def quantile(freedom: float) -> float:
     return float(special.ndtri(level) if freedom == math.inf else special.stdtrit(freedom, level))
 
 
-REPEATABILITY = "repeatability"
 _DRAWS = 2000
 _STEPS = 12
 
@@ -118,32 +117,21 @@ class Scatter:
     high: float
 
 
-@dataclass(frozen=True)
-class Components:
-    """Parts of the scatter of grouped values."""
-
-    # Standard deviation of `REPEATABILITY` and of each factor that was separated.
-    parts: Mapping[str, Scatter]
-    between: Scatter | None  # standard deviation of all factors together; None without a factor
-    total: Scatter  # standard deviation of everything together
-    # Factors whose scatter the values cannot separate; another part contains it.
-    merged: tuple[str, ...]
-
-
 def variance_components(
     values: Array, factors: Mapping[str, Sequence[str]], rng: np.random.Generator
-) -> Components | None:
-    """Return the variance components of values in groups, balanced or not; None if the values do
-    not determine the scatter within a group.
+) -> tuple[dict[str, Scatter], tuple[str, ...]]:
+    """Return the parts of the scatter of values in groups, balanced or not, and the factors that
+    the values do not separate, whose scatter is in another part.
 
-    The model is the sum of a mean, of one random effect for each factor, and of the scatter of
-    repeatability, all normal and independent. The sum of squares that no factor explains gives the
-    repeatability. For a factor, the contrasts u of the values that do not depend on the other
-    factors have the covariance s A + V, where s is the variance of the factor and V that of the
-    rest; s solves u' (s A + V)^-1 u = q, where q is the number of contrasts. If each level of
-    another factor belongs to one level of this factor, the other factor stays in V with its
-    estimate. The intervals are generalised confidence intervals: in both equations, draws of
-    chi-squared replace the degrees of freedom.
+    The parts are ``repeatability`` (within a group), each factor, ``reproducibility`` (the sum of
+    several factors) and ``total`` (the sum of several parts); none if no value is left to determine
+    the repeatability. The model is the sum of a mean, one random effect for each factor, and the
+    repeatability, all normal and independent. What no factor explains gives the repeatability. For
+    a factor, let u be the q contrasts of the values that do not depend on the other factors, with
+    covariance s A + V, where s is the variance of the factor; s solves u' (s A + V)^-1 u = q. If
+    the levels of another factor are nested in those of this factor, the other factor is in V with
+    its estimate. The intervals are generalised confidence intervals: draws of chi-squared replace
+    the degrees of freedom.
 
     Args:
         values: Values, shape (n,).
@@ -151,42 +139,38 @@ def variance_components(
         rng: Orders the draws; the draws themselves are quantiles.
     """
     rows = {name: _indicators(levels) for name, levels in factors.items() if len(set(levels)) > 1}
-    # A factor may be nested in a later one of fewer levels; of two equal ones, the first is left.
+    # Levels can be nested in those of a later factor; of equal factors the first is not separated.
     order = sorted(rows, key=lambda name: rows[name].shape[1], reverse=True)
     merged: list[str] = []
-    while (freedom := _outside(rows, order, len(values)).shape[1]) < 1 and order:
+    while not (outside := _outside(rows, order, len(values))).shape[1]:
+        if not order:
+            return {}, ()
         merged.append(order.pop(0))
-    if freedom < 1:
-        return None
-    rest = _outside(rows, order, len(values)).T @ values
+    rest = outside.T @ values
     least = np.finfo(float).tiny + (np.finfo(float).eps * np.max(np.abs(values))) ** 2
-    drawn = {REPEATABILITY: max(float(rest @ rest), least) / _chi_squared(freedom, rng)}
+    repeatability = max(float(rest @ rest), least) / _chi_squared(len(rest), rng)
+    drawn: dict[str, Array] = {}
     for name in order:
         others = [other for other in order if other != name and other not in merged]
         nested: list[str] = []
-        basis, contrasts = _contrasts(rows, name, others, values)
-        if not contrasts.size:
-            nested = [other for other in others if other in drawn]
-            others = [other for other in others if other not in drawn]
-            basis, contrasts = _contrasts(rows, name, others, values)
-        if not contrasts.size:
+        basis = _contrasts(rows, name, others, len(values))
+        if not basis.size:
+            nested, others = list(drawn), [other for other in others if other not in drawn]
+            basis = _contrasts(rows, name, others, len(values))
+        if not basis.size:
             merged.append(name)
             continue
         inner = [(drawn[other], basis.T @ rows[other]) for other in nested]
+        wanted = _chi_squared(basis.shape[1], rng)
         drawn[name] = _variance(
-            contrasts,
-            basis.T @ rows[name],
-            drawn[REPEATABILITY],
-            inner,
-            _chi_squared(contrasts.size, rng),
+            basis.T @ values, basis.T @ rows[name], repeatability, inner, wanted
         )
-    between = sum(drawn[name] for name in drawn if name != REPEATABILITY)
-    return Components(
-        {name: _scatter(variance) for name, variance in drawn.items()},
-        _scatter(between) if len(drawn) > 1 else None,
-        _scatter(between + drawn[REPEATABILITY]),
-        tuple(merged),
-    )
+    parts = {"repeatability": repeatability, **drawn}
+    if len(drawn) > 1:
+        parts["reproducibility"] = sum(drawn.values(), np.zeros(1))
+    if drawn:
+        parts["total"] = sum(drawn.values(), repeatability)
+    return {name: _scatter(variance) for name, variance in parts.items()}, tuple(merged)
 
 
 def _indicators(levels: Sequence[str]) -> Array:
@@ -201,14 +185,11 @@ def _outside(rows: Mapping[str, Array], names: Sequence[str], count: int) -> Arr
     return np.asarray(left[:, np.count_nonzero(sizes > 1e-9 * sizes[0]) :])
 
 
-def _contrasts(
-    rows: Mapping[str, Array], name: str, others: Sequence[str], values: Array
-) -> tuple[Array, Array]:
-    """Return a basis of what a factor explains beyond others, and the values in it."""
-    outside = _outside(rows, others, len(values))
+def _contrasts(rows: Mapping[str, Array], name: str, others: Sequence[str], count: int) -> Array:
+    """Return a basis of what a factor explains beyond others, shape (n, contrasts)."""
+    outside = _outside(rows, others, count)
     left, sizes, _ = np.linalg.svd(outside.T @ rows[name], full_matrices=False)
-    basis = outside @ left[:, sizes > 1e-9 * math.sqrt(len(values))]
-    return basis, np.asarray(basis.T @ values)
+    return np.asarray(outside @ left[:, sizes > 1e-9 * math.sqrt(count)])
 
 
 def _chi_squared(freedom: int, rng: np.random.Generator) -> Array:

@@ -21,6 +21,7 @@ from identification.plots.style import (
     GREY,
     MEASURED,
     MODEL,
+    ORANGE,
     SKY,
     VERMILION,
     ZERO,
@@ -248,13 +249,14 @@ def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -
         top.plot(t, measured, label="measured", **MEASURED)
         top.plot(t, predicted, label="predicted before the run", **MODEL)
         top.set_title(name)
-        bottom.fill_between(t, -half, half, color=BLUE, alpha=0.2, label="band", linewidth=0.0)
+        bottom.fill_between(
+            t, -half, half, color=ORANGE, alpha=0.4, label="band", linewidth=0.0, zorder=3
+        )
         bottom.plot(t, measured - predicted, label="measured - predicted", **MEASURED)
         bottom.axhline(0.0, **ZERO)
         bottom.set_xlabel("time (s)")
-        if column == 0:
-            top.set_ylabel(f"torque ({unit})")
-            bottom.set_ylabel(f"difference ({unit})")
-            handles = [*top.lines, *bottom.collections, bottom.lines[0]]
-            made.legend(handles=handles, loc="outside lower center", ncols=4)
+        top.set_ylabel(f"torque ({unit})")
+        bottom.set_ylabel(f"difference ({unit})")
+    handles = [*top.lines, *bottom.collections, bottom.lines[0]]
+    made.legend(handles=handles, loc="outside lower center", ncols=4)
     return made

@@ -18,7 +18,7 @@ import os
 import socket
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -215,22 +215,13 @@ class Lock:
         self.release()
 
 
-Refused = Callable[[InUseError], object]
-"""Function that is called while another program uses a bench: it waits, or raises to give up."""
-
-
 def hold_bench(
-    name: str,
-    resources: Iterable[Resource],
-    command: str,
-    folder: Path | None = None,
-    refused: Refused | None = None,
+    name: str, resources: Iterable[Resource], command: str, folder: Path | None = None
 ) -> Lock:
     """Lock all parts of a bench, or none.
 
     ``resources``: parts of the bench; see :func:`rig.wiring.connect.resources`. If empty, nothing
-    is locked. ``folder``: folder of the lock files; :data:`LOCK_FOLDER` by default. ``refused``:
-    called before each further attempt; None attempts once.
+    is locked. ``folder``: folder of the lock files; :data:`LOCK_FOLDER` by default.
 
     Raises:
         InUseError: Another program holds the lock of a part of the bench.
@@ -242,13 +233,7 @@ def hold_bench(
         _Place(f"{what} ({parts[key].label})", what, folder, file_name(key), True)
         for key in sorted(parts)
     ]
-    while True:
-        try:
-            return _hold(places, command)
-        except InUseError as error:
-            if refused is None:
-                raise
-            refused(error)
+    return _hold(places, command)
 
 
 def lock_files(resources: Iterable[Resource], folder: Path | None = None) -> list[Path]:

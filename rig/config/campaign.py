@@ -155,6 +155,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         for loc, message in _check_recording(recording, campaign.bench):
             yield ("recordings", index, *loc), message
     yield from _check_clock(campaign)
+    yield from _check_units(campaign)
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
@@ -165,6 +166,18 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             "some recordings contain torque and others only current; add torque_constant, or a "
             "torque channel to all recordings",
         )
+
+
+def _check_units(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
+    """Yield recordings without a unit beside others with one, and parameters stated as both."""
+    unnamed = [k for k, recording in enumerate(campaign.recordings) if not recording.unit]
+    if 0 < len(unnamed) < len(campaign.recordings):
+        yield ("recordings", unnamed[0], "unit"), "other recordings state a unit; state it here too"
+    if both := {*campaign.model.shared} & {*campaign.model.per_unit}:
+        yield ("model", "per_unit"), f"{', '.join(sorted(both))}: either shared or per unit"
+    stated = [key for key in ("shared", "per_unit") if getattr(campaign.model, key)]
+    if stated and unnamed:
+        yield ("model", stated[0]), "needs the key `unit` in the recordings"
 
 
 def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:

@@ -392,6 +392,9 @@ class ModelSection(Schema):
             `load_dependent_friction` (friction grows with the torque of a pendulum).
         fixed: Values of parameters that are not fitted; a value with an uncertainty is a prior,
             which is combined with the estimate from the recordings.
+        shared: With units: parameters that are the same in all units.
+        per_unit: With units: parameters that differ from unit to unit; stated alone, all others are
+            shared. Without either key, no parameter is shared.
     """
 
     friction: Annotated[str, _one_of(LADDER, "friction")] = PAPER_FRICTION
@@ -399,6 +402,9 @@ class ModelSection(Schema):
     fixed: dict[Annotated[str, _one_of(PARAMETERS, "parameter")], KnownNumber] = Field(
         default_factory=dict
     )
+
+    shared: tuple[Annotated[str, _one_of(PARAMETERS, "parameter")], ...] = ()
+    per_unit: tuple[Annotated[str, _one_of(PARAMETERS, "parameter")], ...] = ()
 
     @field_validator("terms")
     @classmethod
@@ -550,6 +556,8 @@ class RecordingSection(Schema):
         hoisted: A known mass that hangs on the joint by a rope.
         constant_torque: Known torque on the joint that does not depend on the angle, N m; a
             positive torque drives the joint forward.
+        unit: Name of the machine, if the recordings are of several of one kind; all recordings
+            state it, or none.
         start: Start time of the file: an ISO time, or seconds since the machine was switched on
             cold. Either all recordings state a start time, or no recording does.
         order: Position of the file in the session, instead of `start`, if only the order is known;
@@ -571,6 +579,7 @@ class RecordingSection(Schema):
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
+    unit: Annotated[str, Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None
@@ -579,6 +588,11 @@ class RecordingSection(Schema):
     rate: Constant | None = None
     read: ReadSection = ReadSection()
     channels: dict[ChannelName, ChannelSection]
+
+    @field_validator("unit", mode="before")
+    @classmethod
+    def _named(cls, unit: object) -> object:
+        return str(unit) if type(unit) is int else unit
 
     @property
     def known_load(self) -> bool:

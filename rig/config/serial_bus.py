@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from drivers.amt21.encoder import DEFAULT_ADDRESS
 from drivers.can.port import ANSWER_SHARE
 from drivers.epos import frames as epos_serial
 from drivers.epos import link as epos_serial_node
-from rig.config.configuration import Positive, Schema
+from rig.config.configuration import Positive, Schema, nearest
 
 MOCK: Final = "mock"
+
+
+def _not_nearly_mock(port: str) -> str:
+    """Refuse a mistyped `mock`, which would be taken for the port of a real bench."""
+    if port != MOCK and difflib.get_close_matches(port.casefold(), [MOCK]):
+        raise ValueError(f"no port; {nearest(port, [MOCK])}")
+    return port
+
+
 UNWATCHED_SHARE: Final = 0.6
 """Factor by which the limits of torque, current and speed are reduced for a drive without watchdog.
 """
@@ -65,6 +75,8 @@ class SerialBus(Schema):
     baud: _Baud = 1_000_000
     round_trip_ms: Annotated[float, Field(ge=0, le=100)] = 0.0
 
+    _typed = field_validator("port")(_not_nearly_mock)
+
 
 class Amt21Section(Schema):
     """An AMT21 joint encoder on a separate RS-485 line.
@@ -91,6 +103,8 @@ class Amt21Section(Schema):
     offset_deg: float = 0.0
     gate_speed_deg_s: Positive = 500.0
     gate_acceleration_deg_s2: Positive = 20_000.0
+
+    _typed = field_validator("port")(_not_nearly_mock)
 
 
 def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:

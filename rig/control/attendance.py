@@ -8,11 +8,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Final
+from functools import partial
+from typing import Final, TypeVar
 
 from drivers.clock import NS, Clock, RealClock
 from rig.common.errors import InputError, InUseError
-from rig.common.locks import Refused
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import Plan
@@ -20,6 +20,7 @@ from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import Attach, connect
 from rig.wiring.devices import Devices
 
+T = TypeVar("T")
 _INHIBIT: Final = ("systemd-inhibit", "--what=sleep:idle:handle-lid-switch", "--who=rig")
 _LOOK_NS: Final = NS // 2  # time between two attempts to use a bench that another program uses
 _INHIBIT_S: Final = 2.0  # time, s, in which the system must have accepted the request to stay awake
@@ -41,27 +42,27 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
     )
 
 
-def waiting(wait_s: float, say: Callable[[str], None], clock: Clock | None = None) -> Refused:
-    """Return a function that waits for a bench that another program uses, and says so once.
+def when_free(
+    attempt: Callable[[], T], wait_s: float, say: Callable[[str], None], clock: Clock
+) -> T:
+    """Return the result of an attempt to use a bench; repeat the attempt for ``wait_s`` while
+    another program uses the bench. Of several programs that wait, any may be the next.
 
-    When ``wait_s`` has passed, the function raises the refusal. Of several programs that wait, any
-    may be the next.
+    Raises:
+        InUseError: The bench is still in use.
     """
-    clock = clock or RealClock()
-    deadline_ns = clock.now_ns() + round(wait_s * NS)
-    said = False
-
-    def wait(refusal: InUseError) -> None:
-        nonlocal said
-        now_ns = clock.now_ns()
-        if now_ns >= deadline_ns:
-            raise refusal
-        if not said:
-            say(f"waiting up to {wait_s:g} s: {refusal}")
-            said = True
+    deadline_ns, said = clock.now_ns() + round(wait_s * NS), False
+    while True:
+        try:
+            return attempt()
+        except InUseError as error:
+            now_ns = clock.now_ns()
+            if now_ns >= deadline_ns:
+                raise
+            if not said:
+                say(f"waiting up to {wait_s:g} s: {error}")
+                said = True
         clock.sleep_until_ns(min(now_ns + _LOOK_NS, deadline_ns))
-
-    return wait
 
 
 @contextmanager
@@ -73,17 +74,18 @@ def connected(
     attach: Attach | None = None,
     torque_offset: bool = False,
     purpose: str = "rig",
-    refused: Refused | None = None,
+    wait_s: float = 0.0,
+    say: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Devices]:
     """Open a bench with :func:`rig.wiring.connect.connect`, so that a stop signal interrupts it.
 
-    The computer of a real bench is kept awake, where this is possible.
+    The computer of a real bench is kept awake, where this is possible. ``wait_s``: see
+    :func:`when_free`.
     """
     with ExitStack() as stack:
         with stop.interruptible():
-            devices = stack.enter_context(
-                connect(document, seed, realtime, attach, torque_offset, purpose, refused)
-            )
+            opened = partial(connect, document, seed, realtime, attach, torque_offset, purpose)
+            devices = when_free(lambda: stack.enter_context(opened()), wait_s, say, RealClock())
             if not document.value.simulated:
                 why = stack.enter_context(kept_awake(purpose))
                 devices = dataclasses.replace(devices, awake=why)

@@ -500,6 +500,8 @@ class Investigation:
                 if rivals
                 else "every rival is rejected, and experiments that show what the others did not "
                 "changed nothing"
+                if first.names
+                else "experiments that show what the others did not changed nothing"
             )
         return found
 

@@ -45,7 +45,10 @@ def investigation_record(state: State, judged: Judgement) -> dict[str, Any]:
     """Return the record of ``rig investigate --json``: that of ``rig diagnose`` on all recordings
     but the confirming ones, and the experiments.
     """
-    confirmed = {k: state.confirmation.get(k) for k in _CONFIRMED} if state.confirmation else None
+    refuted, confirmed = (
+        [{k: found.get(k) for k in _CONFIRMED} for found in every if found]
+        for every in (state.refuted, [state.confirmation])
+    )
     return {
         **judged.outcome.record(),
         "schema": INVESTIGATE_SCHEMA,
@@ -53,7 +56,8 @@ def investigation_record(state: State, judged: Judgement) -> dict[str, Any]:
         "ended": state.ended,
         "experiments": [{k: asdict(e)[k] for k in _KEYS} for e in state.experiments],
         "bench_seconds": state.bench_seconds,
-        "confirmation": confirmed,
+        "confirmation": confirmed[0] if confirmed else None,
+        "refuted": refuted,
         "cannot_separate": state.cannot_separate,
     }
 
@@ -94,6 +98,10 @@ def _summary(
     yield Section("", (_experiments(state),))
     yield Section("", (_odds(judged),))
     lines = [f"ended: {state.ended}; {state.bench_seconds / 60.0:.1f} min of the bench"]
+    lines += [
+        f"a sealed band held {r['band_held']:.0%} only: its recording is evidence since"
+        for r in state.refuted
+    ]
     if confirmation is not None:
         lines.append(_confirmed(confirmation))
     lines += [f"cannot separate {_apart(p)}" for p in state.cannot_separate]

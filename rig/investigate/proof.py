@@ -30,6 +30,7 @@ from rig.investigate.experiments import SimulatedBench, bench_seconds
 from rig.investigate.investigation import judge_recordings
 from rig.planning.plan import make_plan
 from rig.results.document import Document, Section, Table, provenance_section
+from rig.results.prove.document import shares
 from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
 from rig.results.prove.engine import Engine
 from rig.results.prove.excitation import experiments
@@ -47,19 +48,20 @@ SCHEMA = "loadrig.prove_investigate/1"
 Command = Callable[[list[str]], int]
 """Function that carries out a command line, and returns its exit status."""
 STATES = ("right", "wrong", "open", "missed")
+_ONE, _REPEATED = f"one effect, strength {STRONG:g} or more", "Figure 10 repeated as long"
 _RATES = {
-    "right": "one effect, strength {0:g} or more: named alone",
-    "wrong": "one effect, strength {0:g} or more: another one named",
-    "open": "one effect, strength {0:g} or more: left open",
-    "missed": "one effect, strength {0:g} or more: told that nothing is missing",
+    "right": f"{_ONE}: named alone",
+    "wrong": f"{_ONE}: another one named",
+    "open": f"{_ONE}: left open",
+    "missed": f"{_ONE}: told that nothing is missing",
     "right_all": "one effect, any strength: named alone",
     "wrong_all": "one effect, any strength: another one named",
     "alarms": "no effect: told that something is missing",
     "outside": "outside the catalogue: told as such",
     "outside_named": "outside the catalogue: an effect named",
-    "repeated_right": "Figure 10 repeated as long, strength {0:g} or more: named alone",
-    "repeated_wrong": "Figure 10 repeated as long, strength {0:g} or more: another one named",
-    "held": "samples of confirming experiments in the sealed 90 % band (mean over machines)",
+    "repeated_right": f"{_REPEATED}, {_ONE}: named alone",
+    "repeated_wrong": f"{_REPEATED}, {_ONE}: another one named",
+    "held": "samples in the sealed 90 % band, mean over machines",
 }
 
 
@@ -253,7 +255,7 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "outside": share(kinds["outside"], "right"),
         "outside_named": share(kinds["outside"], "wrong"),
         **{f"repeated_{state}": share(strong, state, "repeated") for state in STATES},
-        "held": wilson(sum(held), len(held)),
+        "held": wilson(round(sum(held), 3), len(held)),
         **{
             key: np.quantile([t[k] for t in to_name], (0.5, 0.9)).tolist() if to_name else None
             for k, key in enumerate(("experiments_to_name", "minutes_to_name"))
@@ -268,22 +270,14 @@ def proof_record(rows: Sequence[Mapping[str, Any]], provenance: Provenance) -> d
 
 def proof_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
     """Return the proof as a document, from its record."""
-    shown = (Section("", (table,)) for table in _tables(result))
-    return Document(
-        "The blind proof of investigations",
-        f"{len(result['rigs'])} machines, each sealed before its investigation",
-        tuple(shown),
-        (*(Section("", (table,)) for table in _tables(result)), provenance_section(provenance)),
-    )
+    shown = tuple(Section("", (table,)) for table in _tables(result))
+    title = "The blind proof of investigations"
+    said = f"{len(result['rigs'])} machines, each sealed before its investigation"
+    return Document(title, said, shown, (*shown, provenance_section(provenance)))
 
 
 def _tables(result: Mapping[str, Any]) -> Iterator[Table]:
-    rates = tuple(
-        (words.format(STRONG), f"{f['n']:.3g} of {f['of']}", f"{f['low']:.0%} to {f['high']:.0%}")
-        for key, words in _RATES.items()
-        if (f := result[key])["of"]
-    )
-    yield Table(("what", "machines", "95 % interval (Wilson)"), rates, (1, 2))
+    yield shares("machines", result, _RATES)
     counted = tuple(
         (words, f"{found[0]:.3g}", f"{found[1]:.3g}")
         for key, words in (("experiments_to_name", "experiments"), ("minutes_to_name", "minutes"))

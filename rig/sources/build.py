@@ -117,10 +117,11 @@ def _starts(
 
 
 def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
-    """Return a problem for each recording that begins before the end of the preceding recording."""
+    """Return a problem for each recording that begins before the unit's preceding one ends."""
     problems = []
-    for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
-        if other.span[0] <= one.span[1]:
+    order = sorted(placed, key=lambda item: (item[0].unit, item[0].span))
+    for (one, _), (other, index) in pairwise(order):
+        if other.unit == one.unit and other.span[0] <= one.span[1]:
             problems.append(
                 document.problem(
                     ("recordings", index, "start"),
@@ -257,6 +258,7 @@ def build(
         uncertainties={**unsure, **section.uncertainties()},
         controller=section.controller.controller() if section.controller else None,
         role=section.role,
+        unit=section.unit,
         averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
         source=str(file),
         sha256=digest,
@@ -463,8 +465,8 @@ def _on_even_stamps(recording: Recording) -> Recording:
     return replace(recording, channels=channels, notes=(*others, note))
 
 
-def load_source(path: Path, *, partial: bool = False) -> Dataset:
-    """Load a run folder or a campaign file."""
+def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Dataset:
+    """Load a run folder or a campaign file; with ``units``, also recordings of several machines."""
     _require_visible(path)
     if is_file(path / "run.json"):
         # Imported here, because recordings of a campaign do not need the reader of run folders.
@@ -492,6 +494,12 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
     campaign = document.value
     bench = campaign.bench.bench()
     problems: list[str] = []
+    names = list(dict.fromkeys(r.unit for r in campaign.recordings))
+    if len(names) > 1 and not units:
+        raise InputError(
+            f"{path}: the recordings are of {len(names)} units, {', '.join(names[:3])}, ...; only "
+            "`rig identify` takes several units; give a campaign with the recordings of one"
+        )
     read: list[Read] = []
     for file, index, section in _expand(document, problems):
         try:

@@ -7,8 +7,9 @@ imported only when a test runs a bench.
 from __future__ import annotations
 
 import gc
-import math
+import itertools
 from collections.abc import Generator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,16 +107,13 @@ def _distance(limit: Limit | None, check: Check) -> str:
     from rig.common.tables import number
     from rig.config.acceptance import Bound, Range
 
-    beyond = -math.inf
-    if check.value is None:
-        return ""
-    if isinstance(limit, Bound):
+    beyond = 0.0
+    if isinstance(limit, Bound) and check.value is not None:
         beyond = abs(check.value - limit.value)
     elif isinstance(limit, Range):
-        low = check.value if check.low is None else check.low
-        high = check.value if check.high is None else check.high
-        beyond = max(limit.low - low, high - limit.high)
-    return f"; {number(beyond, 3)} {check.unit} beyond the limit" if beyond > 0.0 else ""
+        ends = [end for end in (check.low, check.value, check.high) if end is not None]
+        beyond = max([limit.low - end for end in ends] + [end - limit.high for end in ends] + [0.0])
+    return f"; {number(beyond, 3)} {check.unit} beyond the limit" if beyond else ""
 
 
 @dataclass
@@ -126,8 +124,7 @@ class Bench:
     out: Path  # folder of the run folders
     wait_s: float = 0.0  # time, s, to wait while another program uses the bench
     used: list[Run] = field(default_factory=list)  # runs that the present test uses
-    _begun: int = 0
-    _shared: dict[str, Run] = field(default_factory=dict)
+    _shared: dict[str, Run | None] = field(default_factory=dict)
 
     def run(self, sequence: str | Path, *options: str) -> Run:
         """Run a sequence, as ``rig run`` does with these options; returns every run that began.
@@ -137,8 +134,11 @@ class Bench:
         __tracebackhide__ = True
         from rig.cli.entry import BAD_VERDICT, GARBAGE_THRESHOLD, STOPPED, status
 
-        self._begun += 1
-        folder = self.out / f"{Path(sequence).stem}-{self._begun}"
+        for number in itertools.count(1):
+            folder = self.out / f"{Path(sequence).stem}-{number}"
+            with suppress(FileExistsError):
+                folder.mkdir(parents=True)
+                break
         words = ["run", str(sequence), "--bench", self.name, "--out", str(folder), "--yes"]
         before = gc.get_threshold()
         gc.set_threshold(GARBAGE_THRESHOLD)
@@ -157,9 +157,13 @@ class Bench:
     def shared(self, sequence: str) -> Run:
         """Return the run of a sequence that all tests of the session share."""
         if sequence not in self._shared:
+            self._shared[sequence] = None
             self._shared[sequence] = self.run(sequence)
-        self.used.append(self._shared[sequence])
-        return self._shared[sequence]
+        found = self._shared[sequence]
+        if found is None:
+            pytest.fail(f"the run of {sequence} failed in an earlier test")
+        self.used.append(found)
+        return found
 
 
 _BENCH = pytest.StashKey[Bench]()
@@ -167,30 +171,17 @@ _BENCH = pytest.StashKey[Bench]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of the plugin."""
-    group = parser.getgroup("loadrig")
-    group.addoption(
-        "--rig-bench",
-        metavar="BENCH",
-        default="practical",
-        help="Bench of the fixture rig_bench: a file, or a packaged bench (default: practical).",
-    )
-    group.addoption(
-        "--rig-out", metavar="DIR", help="Folder of the run folders (default: temporary)."
-    )
-    group.addoption(
-        "--rig-wait",
-        metavar="SECONDS",
-        type=float,
-        default=0.0,
-        help="Time to wait for a bench that another program uses (default: 0).",
-    )
+    add = parser.getgroup("loadrig").addoption
+    add("--rig-bench", metavar="BENCH", default="practical", help="Bench file, or packaged bench.")
+    add("--rig-out", metavar="DIR", help="Folder of the run folders; a temporary one by default.")
+    words = "Time to wait for a bench that another program uses."
+    add("--rig-wait", metavar="SECONDS", type=float, default=0.0, help=words)
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker of the plugin."""
-    config.addinivalue_line(
-        "markers", "rig(sequence): sequence of the fixture rig_run (default: quick_check)"
-    )
+    words = "sequence of the fixture rig_run (default: quick_check)"
+    config.addinivalue_line("markers", f"rig(sequence): {words}")
 
 
 @pytest.fixture(scope="session")

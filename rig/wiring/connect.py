@@ -43,7 +43,7 @@ from drivers.mock.wires.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
 from drivers.units import EncoderScales
 from rig.common.errors import InputError
-from rig.common.locks import Refused, Resource, hold_bench
+from rig.common.locks import Resource, hold_bench
 from rig.config.bench import Bench
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
@@ -169,12 +169,10 @@ def connect(
     attach: Attach | None = None,
     torque_offset: bool = False,
     purpose: str = "rig",
-    refused: Refused | None = None,
 ) -> Iterator[Devices]:
     """Open the bus of a bench with its devices, and close the bus at the end. No device moves.
 
-    A real bench is locked before its bus is opened, and released after its bus is closed;
-    ``refused`` is called while another program uses it.
+    A real bench is locked before its bus is opened, and released after its bus is closed.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -187,7 +185,7 @@ def connect(
         raise InputError(document.problem(("bus",), NO_BUS))
     wired = _wire(document, bench.bus, seed, attach, torque_offset)
     link, guard = wired.link, wired.guard
-    with hold_bench(bench.name, resources(bench), purpose, refused=refused) as lock:
+    with hold_bench(bench.name, resources(bench), purpose) as lock:
         if guard is not None:
             guard.keep(lock.descriptors)
         link.open()

@@ -82,6 +82,9 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "convergence to the truth": lambda: fit_plots.convergence(result().stages[0], {"Mc": 7.1}),
     "intervals": lambda: fit_plots.intervals([result(), result("paper")], {"Mc": 6.9}),
     "profiles": lambda: fit_plots.profiles([PROFILE], list(result().parameters.values())),
+    "sealed": lambda: mismatch.sealed(
+        {name: (np.linspace(0.0, 9.0, 20_001), *np.ones((3, 20_001))) for name in "ab"}, "N m"
+    ),
     "waterfall": lambda: fit_plots.waterfall(
         [Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]
     ),

@@ -29,6 +29,7 @@ from rig.runs.recorder import Recorder
 from .benches import variant
 from .true_motion import watch_machines
 
+PROOF = pytest.mark.proof
 SLOW = (
     ("cycle_Hz: 1000", "cycle_Hz: 250"),
     ("sample_age_ms: 5", "sample_age_ms: 20"),
@@ -80,7 +81,13 @@ def fastest_deg_s(gear_ratio: float) -> float:
     return math.degrees(max(found)) / gear_ratio
 
 
-@pytest.mark.parametrize("mistake", CORRECTED)
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        *("zero_off", "current_sign", "ratio"),
+        *(pytest.param(m, marks=PROOF) for m in ("rpm", "encoder_sign", "torque_constant")),
+    ],
+)
 def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake: str) -> None:
     before = Path("bench.yaml").read_text()
     ended, record = commissioned("--angle", "0", "--mistake", mistake)
@@ -118,7 +125,7 @@ def test_what_no_value_corrects_ends_it(here, mistake, monkeypatch):
         assert true.travel_deg < SMALL_DEG
 
 
-@pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
+@pytest.mark.parametrize("source", ["practical_serial", pytest.param("practical_dbc", marks=PROOF)])
 @pytest.mark.usefixtures("elsewhere")
 def test_a_wrong_sign_is_found_on_every_kind_of_drive(source, monkeypatch):
     mistake = "phases_swapped"
@@ -266,7 +273,9 @@ def test_a_recording_that_fails_takes_the_power_off_first(here, monkeypatch, cap
     assert "the drive is de-energised (read back: switch on disabled)" in shown
 
 
-@pytest.mark.parametrize("limit_deg_s", [pytest.param(None, marks=pytest.mark.proof), 28.0, 30.0])
+@pytest.mark.parametrize(
+    "limit_deg_s", [28.0, *(pytest.param(limit, marks=PROOF) for limit in (None, 30.0))]
+)
 def test_soft_gains_are_refused_before_the_motion_with_the_limit_that_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_deg_s: float | None
 ) -> None:

@@ -17,11 +17,11 @@ from drivers.errors import LinkError
 from rig.cli.entry import status
 from rig.common import locks
 from rig.common.errors import InputError, InUseError
-from rig.common.locks import OWNER_FILE, Resource, hold_bench
+from rig.common.locks import OWNER_FILE, Lock, Resource, hold_bench
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
-from rig.control.attendance import waiting
+from rig.control.attendance import when_free
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
 from rig.wiring import connect as connect_module
@@ -124,11 +124,14 @@ def test_a_run_waits_for_a_bench_that_is_in_use(tmp_path):
     part, clock, said = Resource("simulated", "port simulated"), SimulatedClock(), []
     first = hold_bench("wired", [part], "rig jog", tmp_path)
     clock.call_at(20 * NS, first.release)
+
+    def hold() -> Lock:
+        return hold_bench("wired", [part], "rig run", tmp_path)
+
     with pytest.raises(InUseError):
-        hold_bench("wired", [part], "rig run", tmp_path, waiting(10.0, said.append, clock))
+        when_free(hold, 10.0, said.append, clock)
     assert clock.now_ns() == 10 * NS
-    refused = waiting(30.0, said.append, clock)
-    with hold_bench("wired", [part], "rig run", tmp_path, refused) as lock:
+    with when_free(hold, 30.0, said.append, clock) as lock:
         assert lock.descriptors
     assert clock.now_ns() == 20 * NS
     assert ["`rig jog`" in words for words in said] == [True, True]

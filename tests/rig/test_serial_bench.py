@@ -36,6 +36,7 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         ([("round_trip_ms: 0", "round_trip_ms: 16")], r"81.58 ms, .* cycle_Hz to 9.80392"),
         ([(BUS, "bus: {interface: epos_serial}")], r":13:6: bus.port: missing"),
         ([(BUS, "bus: {interface: epos_seral}")], r":13:18: bus.interface: .*'epos_serial'"),
+        ([("kind: amt21, port: mock", "kind: amt21, port: mok")], r":15:30: .*port: .*'mock'"),
         ([(BUS, "bus: {interface: mok}")], r":13:18: bus.interface: .*'mock'"),
         ([(ENCODER, "encoder: {kind: cia406}")], "an encoder of kind cia406 needs a CAN bus"),
         (
@@ -49,6 +50,7 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog() -> None:
         "round trip",
         "no port",
         "near serial",
+        "near port",
         "near mock",
         "CAN encoder",
         "mixed",

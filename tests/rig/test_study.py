@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.numerics.spread import Components, variance_components
+from identification.numerics.spread import Scatter, variance_components
 from rig.cli.entry import status
 
 from .conftest import IDENTIFIED, run_in
@@ -26,7 +26,9 @@ OPERATORS = [("d0", name) for name in "aabbbbbcccddddddd"]
 NESTED = [(f"d{o}{d}", f"o{o}") for o in range(4) for d in range(3) for _ in range(2)]
 
 
-def found(values: Sequence[float] | np.ndarray, design: Design, seed: int = 0) -> Components | None:
+def found(
+    values: Sequence[float] | np.ndarray, design: Design, seed: int = 0
+) -> tuple[dict[str, Scatter], tuple[str, ...]]:
     days, operators = zip(*design, strict=True)
     factors = {"day": days, "operator": operators}
     return variance_components(np.asarray(values), factors, np.random.default_rng(seed))
@@ -50,13 +52,9 @@ def held(design: Design, studies: int) -> dict[str, int]:
         ratio = 0.5 if study % 2 else 2.0
         days = ratio if len({day for day, _ in design}) > 1 else 0.0
         true = {"repeatability": 1.0, "day": days, "operator": ratio}
-        components = found(drawn(design, true, rng), design)
-        assert components is not None
-        assert components.between is not None
         between = np.hypot(days, ratio)
-        true |= {"between": between, "total": np.hypot(between, 1.0)}
-        parts = {**components.parts, "between": components.between, "total": components.total}
-        for name, each in parts.items():
+        true |= {"reproducibility": between, "total": np.hypot(between, 1.0)}
+        for name, each in found(drawn(design, true, rng), design)[0].items():
             count[name] = count.get(name, 0) + bool(each.low <= true[name] <= each.high)
     return count
 
@@ -67,7 +65,7 @@ def test_the_intervals_hold_the_true_components(design: Design) -> None:
     # A right method leaves these bounds once in 10 000 studies of one component.
     least, most = stats.binom.interval(1.0 - 1e-4, STUDIES, 0.9)
     assert all(least <= each <= most for each in count.values()), count
-    assert set(count) >= {"repeatability", "operator", "between", "total"}
+    assert set(count) >= {"repeatability", "operator", "total"}
 
 
 def test_the_estimates_of_a_balanced_study_are_those_of_the_analysis_of_variance() -> None:
@@ -77,35 +75,28 @@ def test_the_estimates_of_a_balanced_study_are_those_of_the_analysis_of_variance
     effects = {"day": table.mean(axis=(1, 2)), "operator": table.mean(axis=(0, 2))}
     left = table - effects["day"][:, None, None] - effects["operator"][None, :, None]
     within = np.sum((left + table.mean()) ** 2) / (36 - 6)
-    components = found(values, CROSSED)
-    assert components is not None
-    assert components.parts["repeatability"].value == pytest.approx(np.sqrt(within))
+    parts, _ = found(values, CROSSED)
+    assert parts["repeatability"].value == pytest.approx(np.sqrt(within))
     for name, per_level in (("day", 12), ("operator", 9)):
         variance = np.var(effects[name], ddof=1) - within / per_level
-        assert components.parts[name].value == pytest.approx(np.sqrt(variance))
+        assert parts[name].value == pytest.approx(np.sqrt(variance))
 
 
 def test_what_the_runs_do_not_separate_is_named() -> None:
     values = np.random.default_rng(1).normal(size=8)
     # Each operator has a day: the scatter by day is in that by operator.
-    together = found(values, [(f"d{i // 4}", f"o{i // 4}") for i in range(8)])
-    assert together is not None
-    assert together.merged == ("day",)
-    assert set(together.parts) == {"repeatability", "operator"}
+    parts, merged = found(values, [(f"d{i // 4}", f"o{i // 4}") for i in range(8)])
+    assert (list(parts), merged) == (["repeatability", "operator", "total"], ("day",))
     # Each day has one run: the scatter by day is in the repeatability.
-    daily = found(values, [(f"d{i}", f"o{i % 2}") for i in range(8)])
-    assert daily is not None
-    assert daily.merged == ("day",)
+    assert found(values, [(f"d{i}", f"o{i % 2}") for i in range(8)])[1] == ("day",)
     # One condition: nothing but repeatability, with the interval of chi-squared.
-    alone = found(values, [("d", "o")] * 8)
-    assert alone is not None
-    assert (alone.merged, alone.between) == ((), None)
+    alone, merged = found(values, [("d", "o")] * 8)
+    assert (list(alone), merged) == (["repeatability"], ())
     high = np.sqrt(np.var(values, ddof=1) * 7 / stats.chi2.ppf(0.05, 7))
-    assert alone.total.high == pytest.approx(high, rel=0.01)
-    assert found(values[:1], [("d", "o")]) is None
-    equal = found(np.full(6, 3.0), [("d", f"o{i % 2}") for i in range(6)])
-    assert equal is not None
-    assert equal.total.high < 1e-12
+    assert alone["repeatability"].high == pytest.approx(high, rel=0.01)
+    assert found(values[:1], [("d", "o")]) == ({}, ())
+    equal, _ = found(np.full(6, 3.0), [("d", f"o{i % 2}") for i in range(6)])
+    assert equal["total"].high < 1e-12
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +117,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shift = rng.normal(0.0, 0.01) + 0.1 * (operator == "Ada")
         for end in ("value", "low", "high"):
             result["parameters"]["Mc"][end] += shift
+        result["parameters"]["J"] = {"value": None, "low": None, "high": None, "unit": "kg m^2"}
         (folder / "identify.json").write_text(json.dumps(result))
     return root
 
@@ -144,17 +136,17 @@ def test_the_command_studies_runs(
     limits.write_text("acceptance: 1\nlimits: ['Mc: 6..7', 'Ms: 3..']\n")
     result = result_of(root, "--acceptance", limits, tmp_path=tmp_path)
     (study,) = result["studies"]
+    assert list(study["constants"]) == ["Mc"]
     found = study["constants"]["Mc"]
     assert found["runs"] == len(study["runs"]) == 12
-    assert list(found["components"]) == [
+    assert list(found["scatter"]) == [
         "repeatability", "day", "operator", "reproducibility", "total",
     ]  # fmt: skip
-    parts = found["components"]
+    parts = found["scatter"]
     assert parts["repeatability"]["low"] < 0.01 < parts["repeatability"]["high"]
     assert parts["operator"]["low"] < 0.1 / np.sqrt(2.0) < parts["operator"]["high"]
     assert found["tolerance"] == [6.0, 7.0]
-    share = parts["total"]["share_of_tolerance"]
-    assert share == pytest.approx(6.0 * parts["total"]["value"])
+    assert found["shares"]["total"] == pytest.approx(6.0 * parts["total"]["value"])
     assert found["from_intervals"] == pytest.approx(0.1 / 1.645, rel=1e-3)
     shown = capsys.readouterr().out
     assert "12 runs, 2 operators, 2 days" in shown
@@ -167,7 +159,12 @@ def test_the_command_studies_runs(
 def test_runs_are_chosen_and_too_few_are_no_study(root: Path, tmp_path: Path) -> None:
     chosen = result_of(root, "--operator", "Ada", "--since", "2026-11-24", tmp_path=tmp_path)
     (study,) = chosen["studies"]
-    assert list(study["constants"]["Mc"]["components"]) == ["repeatability"]
-    few = result_of(root / "run-1", root / "run-2", tmp_path=tmp_path)
-    assert few["studies"][0]["constants"]["Mc"]["components"] == {}
+    assert list(study["constants"]["Mc"]["scatter"]) == ["repeatability"]
+    few = result_of(root / "run-1", tmp_path=tmp_path)
+    assert few["studies"][0]["constants"]["Mc"]["scatter"] == {}
     assert status(["runs", "study", str(root), "--operator", "nobody"]) == 2
+    assert status(["runs", "study", str(root), "--acceptance", str(tmp_path / "none.yaml")]) == 2
+    # Without its recording, a run has no limits, but still a study.
+    shutil.copytree(root, tmp_path / "moved")
+    (tmp_path / "moved" / "run-11" / "recording.mcap").unlink()
+    result_of(tmp_path / "moved", tmp_path=tmp_path)

@@ -135,3 +135,8 @@ def test_how_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     for code in (entry.BAD_INPUT, entry.DEVICE_FAILED, entry.CRASHED):
         with pytest.raises(pytest.fail.Exception):
             end_with(code)
+    # A shared run that failed is not repeated by the other tests.
+    for _ in range(2):
+        with pytest.raises(pytest.fail.Exception):
+            bench.shared("other.yaml")
+    assert [words[1] for words in asked].count("other.yaml") == 1

@@ -16,6 +16,9 @@ _METHODS: dict[str, tuple[str, ...]] = {
 }
 
 
+_OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
+
+
 @click.command("identify")
 @click.argument("source", type=shared.PATH, required=False)
 @click.option(
@@ -101,6 +104,9 @@ def identify(
 ) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
+    The recordings of a campaign may be of several units (key `unit`): each unit is identified, with
+    means and spreads over the units, what they share, and which unit is odd.
+
     With --plan, nothing is identified: the command predicts which parameters a sequence determines,
     and proposes a better sequence that takes no longer. The proposed sequence may have more stages
     and other weights.
@@ -137,6 +143,14 @@ def identify(
     from rig.common.places import is_folder, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
     from rig.results.document import PAGE_FILE, text, write_page, write_record
+    from rig.results.fleet import (
+        FLEET_FILE,
+        campaign_of_units,
+        fleet_document,
+        fleet_record,
+        identify_fleet,
+        unit_records,
+    )
     from rig.results.identify.document import identify_document
     from rig.results.identify.identify import (
         Request,
@@ -151,6 +165,22 @@ def identify(
     folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     request = Request(_METHODS[method], bandwidth, **options)
+    if (campaign := campaign_of_units(source)) is not None:
+        if compared or method != "default" or any(options[n] for n in _OF_ONE_UNIT):
+            raise click.UsageError(
+                "the campaign has several units, which --method, --compare, --ladder, --score, "
+                "--profile and --bootstrap do not take; use a campaign with one unit"
+            )
+        with ShareBar() as bar:
+            fleet = identify_fleet(source, campaign, request, bar)
+        write_record(fleet_record(fleet), folder / FLEET_FILE, json_file)
+        for file, record in unit_records(fleet):
+            write_record(record, folder / file, None)
+        document = fleet_document(source_name(source), fleet)
+        write_page(document, folder / PAGE_FILE)
+        click.echo(text(document))
+        click.echo(f"report: {folder / PAGE_FILE}")
+        return
     with ShareBar() as bar:
         outcome = identify_source(source, request, bar)
         truth = truth_of(source)

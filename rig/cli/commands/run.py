@@ -18,7 +18,7 @@ from rig.common.places import require_folder, usable, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.attendance import connected, require_attendance, waiting
+from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
@@ -294,9 +294,8 @@ def _carry_out(
     ):
         attach = None if injector is None else injector.attach
         offset = inputs.feedforward is not None
-        patience = waiting(wait_s, screen.say)
         with connected(
-            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose, patience
+            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose, wait_s, screen.say
         ) as devices:
             say_taken_over(devices.lock, screen)
             if inputs.resumed is None:

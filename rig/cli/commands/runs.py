@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,6 +17,7 @@ from rig.common.places import require_folder, usable, write_asked
 from rig.runs.catalogue.entry import VERDICTS
 
 if TYPE_CHECKING:
+    from rig.config.acceptance import Limit
     from rig.results.document import Document
     from rig.runs.catalogue.entry import Entry
 
@@ -269,7 +270,17 @@ def study(
         for entry in _chosen(folder, given)[1]
     }
     entries = latest(sorted(wanted.values(), key=lambda entry: entry.head.created), last)
-    found = studies(entries, lambda run: stated_limits(run, acceptance)[0], seed)
+
+    def limits(run: Path) -> Sequence[Limit]:
+        try:
+            return stated_limits(run, acceptance)[0]
+        except InputError as error:
+            if acceptance is not None:
+                raise
+            click.echo(f"no tolerances: {error}", err=True)
+            return ()
+
+    found = studies(entries, limits, seed)
     if not found:
         raise InputError("no identified run is chosen; `rig identify RUN` identifies a run")
     _write(json_file, lambda: study_record(found, seed))

@@ -71,8 +71,8 @@ def read_effects(path: Path | None) -> OwnFile:
         raise InputError(str(error)) from error
     if not own:
         raise InputError(
-            f"{path}: has no effect; define a function with the decorator "
-            "identification.effects.own.effect, or a subclass of OwnEffect"
+            f"{path}: has no effect; define a function with the decorator identification.effect, "
+            "or a subclass of identification.Effect"
         )
     return OwnFile(path, digest, own, injects)
 

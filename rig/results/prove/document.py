@@ -69,18 +69,18 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
     yield provenance_section(provenance)
 
 
-def _shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Table:
+def shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Table:
     """Return the rates of the proof, one row each; rates without trials are left out."""
     rows = tuple((words[key], *_share(rates[key], 1)) for key in words if rates[key]["of"])
     return Table((title, "trials", "share", "95 % interval"), rows, (1, 2, 3))
 
 
 def _rates(result: Mapping[str, Any]) -> Table:
-    return _shares("what", result, _RATES)
+    return shares("what", result, _RATES)
 
 
 def _places(result: Mapping[str, Any]) -> Table:
-    return _shares("mismatch located", result["location"], _PLACES)
+    return shares("mismatch located", result["location"], _PLACES)
 
 
 def _share(found: Mapping[str, Any], digits: int = 0) -> tuple[str, str, str]:

@@ -100,6 +100,8 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
             f", ended {_date(part.ended)}" if part.ended else ""
         )
         how = f"{part.state}: {part.message}" if part.message else part.state
+        if part.message == record.message:
+            how = part.state  # the top of the page has the message
         yield f"<p>{escape(f'{how}; {part.cycles} cycles, {times}')}</p>"
         yield from _part("the traces", partial(_drawn, recorded, plots, whole))
         if part.timing:
@@ -162,7 +164,7 @@ def _verdict(folder: Path, record: RunRecord) -> Iterator[str]:
     words = (
         f"{len(failed)} of {found['checks']} checks failed"
         if failed
-        else f"All {found['checks']} checks passed"
+        else f"The run is complete and met all {found['checks'] - 1} limits"
     )
     yield f"<p>{words}. Certificate: {links or 'none in this folder'}</p>"
     if failed:
@@ -263,7 +265,9 @@ def _timing(timing: Mapping[str, Any], record: RunRecord) -> Iterator[str]:
             yield f'<p class="note">{ON_TIME}</p>'
             continue
         yield '<div class="scroll"><table><tr><th>us</th><th>cycles</th><th></th></tr>'
-        for edge, count in zip([*edges, "beyond"], counts, strict=True):
+        filled = [k for k, count in enumerate(counts) if count] or [0]
+        shown = slice(filled[0], filled[-1] + 1)
+        for edge, count in list(zip([*edges, "beyond"], counts, strict=True))[shown]:
             bar = f'<span class="bar" style="width:{10.0 * count / most:.2f}rem"></span>'
             yield f'<tr><td>{edge}</td><td class="n">{count}</td><td>{bar}</td></tr>'
         yield "</table></div>"

@@ -12,8 +12,10 @@ import pytest
 from identification.diagnosis.result import Verdict
 from rig.cli.entry import BAD_INPUT, status
 from rig.common.places import read_json
+from rig.common.provenance import Provenance
 from rig.config.bench import load_bench
 from rig.investigate import proof
+from rig.results.document import text
 from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
 from rig.results.prove.engine import Processes
 
@@ -75,6 +77,9 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
     assert found["alarms"]["of"] == found["outside"]["of"] == 0
     assert read_json(tmp_path / "rows" / "rig-0001.json") == rows[0]
+    provenance = Provenance.of(4, (), 0.0, tmp_path / "proof.json")
+    shown = text(proof.proof_document(proof.proof_record(rows, provenance), provenance))
+    assert all("+".join(r["effects"]) in shown for r in rows)
     drawn = [kind for kind, _ in assignment(34, 4, proof.SHARES, proof.ON_A_BENCH)]
     assert {kind: drawn.count(kind) for kind in drawn} == {"one": 27, "nothing": 4, "outside": 3}
 
