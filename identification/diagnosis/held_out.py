@@ -596,9 +596,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
 def _unexplained_share(
     stack: Stack, made: Array, columns: Mapping[str, Array]
 ) -> tuple[float, tuple[float, ...]]:
-    """Return the share of a contribution's squares that regressors do not explain, and the
-    coefficients of these regressors.
-    """
+    """Return the share of a contribution that regressors leave, and their coefficients."""
     whole = stack.whitened(columns)
     square = whole.T @ whole
     for equation, basis in zip(stack.equations, stack.basis, strict=True):

@@ -17,9 +17,7 @@ from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.spread import CONFIDENCE, Spread, quantile
 
 LEVEL = 0.01
-"""Probability with which a unit is called odd in a fleet without an odd unit, and below which
-shared parameters count as different.
-"""
+"""Probability of an odd unit in a fleet without one, and of differing shared parameters."""
 LEAST_UNITS, LEAST_JUDGED = 3, 5
 """Least number of units with a mean and a spread, and of those of which one can be odd."""
 _FAR = 3.0  # deviation from the median up to which a unit counts as sound at first
@@ -253,9 +251,7 @@ def _root(excess: Callable[[float], float], most: float) -> float:
 def _shared(
     units: Mapping[str, Estimates], names: Sequence[str]
 ) -> tuple[dict[str, float], Array, float | None]:
-    """Return the values that all units share, their covariance, and how probable the differences
-    are.
-    """
+    """Return the values that all units share, their covariance, and the differences' p-value."""
     names = [n for n in names if any(u.part([n])[0] for u in units.values())]
     weight, right, parts = np.zeros((len(names),) * 2), np.zeros(len(names)), []
     for unit in units.values():

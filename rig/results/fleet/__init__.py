@@ -42,9 +42,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class Found:
-    """Result of all units: unit to its identification, without those that cannot be identified, and
-    what the units say together.
-    """
+    """Result of all units: each identification that was possible, and what they say together."""
 
     dataset: Dataset
     results: Mapping[str, Identification]
