@@ -81,6 +81,4 @@ CORRECT_MACHINE: Final = "the error is in this file of the machine, not in the d
 
 
 class MachineError(DeviceError):
-    """The machine behind a simulated drive, a file of the user, raised an error or returned no
-    valid values.
-    """
+    """The machine behind a simulated drive, a user's file, failed or gave invalid values."""

@@ -359,9 +359,7 @@ class Servo(SpeedRemedies, Device):
         return ServoMotion(velocity_rad_s=self.readings().velocity_rad_s)
 
     def promised_deceleration(self) -> float:
-        """Return the deceleration of the quick stop at the joint, rad/s^2, as last written, else as
-        read from the drive; NaN if unknown.
-        """
+        """Return the quick stop's deceleration of the joint, rad/s^2, as known; NaN if unknown."""
         return math.nan
 
     def fault(self) -> DriveFault:

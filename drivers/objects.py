@@ -203,9 +203,7 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def forget_faults(self) -> None:
-        """Drop the emergency messages of the device: its fault was cleared, and its state shows it.
-        Not every device sends "error reset" then.
-        """
+        """Drop the device's emergency messages, as its fault was cleared and its state shows it."""
         ...
 
     def map_process_data(

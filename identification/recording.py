@@ -219,9 +219,7 @@ class Model:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the parameters that a fit estimates, those of the load only where a recording is
-        loaded.
-        """
+        """Names of the parameters that a fit estimates; the load's only if one is loaded."""
         own = {*LADDER[self.friction], "J", *LOAD_PARAMETERS}
         own |= {"omega_sf"} if "Ms" in own else set()
         own |= {"offset"} & {*self.terms}

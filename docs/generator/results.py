@@ -138,7 +138,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:rate",
         "rig.results.prove.score:location_f1",
         "rig.results.prove.score:middle",
-        "rig.results.prove.score:power",
         "rig.results.prove.score:names_given",
         "rig.results.prove.score:reliability",
         "rig.results.prove.score:_parts",

@@ -79,9 +79,7 @@ def packing(
 
 @dataclass(frozen=True)
 class Direction:
-    """The PDOs of one direction from the device's side: receive (RPDO) or transmit (TPDO); CiA 301,
-    7.5.2.33.
-    """
+    """The PDOs of one direction of the device: receive (RPDO) or transmit (TPDO), CiA 301."""
 
     name: str  # name in messages
     # Index of the communication record of PDO 1; the mapping record has an index 200h higher.

@@ -73,9 +73,7 @@ class Constant:
         return value * math.exp(change) if self.relative else value + change
 
     def steps(self, nominal: float, value: float) -> float:
-        """Return the deviation of a value from the nominal value, in tolerances; the inverse of
-        :meth:`moved`.
-        """
+        """Return the deviation from the nominal value, in tolerances; inverse of :meth:`moved`."""
         return (math.log(value / nominal) if self.relative else value - nominal) / self.tolerance
 
 
@@ -163,9 +161,7 @@ class Burn:
 
 
 def has_gas_channels(recording: Recording) -> bool:
-    """Whether a recording allows a diagnosis of the gas generator, that is, has constants of a gas
-    generator, a pressure and a valve angle.
-    """
+    """Whether a recording has what a diagnosis of the gas generator needs."""
     known = recording.bench.gas_generator is not None
     return known and {"pressure", "angle"} <= recording.channels.keys()
 
@@ -221,9 +217,7 @@ def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
 
 
 def noise(burns: Sequence[Burn]) -> float:
-    """Return the scatter of the pressure from row to row, Pa, from the median third difference; at
-    least the quantisation error.
-    """
+    """Return the pressure's scatter from row to row, Pa; at least the quantisation error."""
     differences = np.concatenate([np.diff(b.pressure, n=3) for b in burns])
     # Third differences of white noise of unit variance have the variance 20.
     scatter = 1.4826 * float(np.median(np.abs(differences))) / math.sqrt(20.0)

@@ -596,9 +596,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
 def _unexplained_share(
     stack: Stack, made: Array, columns: Mapping[str, Array]
 ) -> tuple[float, tuple[float, ...]]:
-    """Return the share of a contribution's squares that regressors do not explain, and the
-    coefficients of these regressors.
-    """
+    """Return the share of a contribution that regressors leave, and their coefficients."""
     whole = stack.whitened(columns)
     square = whole.T @ whole
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
@@ -623,10 +621,6 @@ class HeldOut:
     baseline_rms: float  # error of the nominal model alone, in the unit of the equation
     oracle_rms: float  # error with the true effects, in the unit of the equation
     noise_rms: float  # noise of one row, in the unit of the equation
-    # Name of each effect to its remaining strength: the error that the effect would cause after a
-    # new fit of all other parameters without the effect, over the noise of a row, in the equation
-    # in which this ratio is greatest.
-    remaining_strength: Mapping[str, float]
 
 
 def oracle(
@@ -662,13 +656,4 @@ def oracle(
     if not noise:
         return None
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
-    remaining_strength = {}
-    for effect in joint.effects:
-        rest = tuple(e for e in joint.effects if e is not effect)
-        without = baseline.again(joint.nominal, rest) if rest else baseline
-        beyond = [
-            float(np.mean(without.residual[rows] ** 2 - joint.residual[rows] ** 2))
-            for rows in map(joint.stack.part, noise)
-        ]
-        remaining_strength[effect.term.name] = math.sqrt(max(0.0, *beyond))
-    return HeldOut(where, before[where], after[where], noise[where], remaining_strength)
+    return HeldOut(where, before[where], after[where], noise[where])

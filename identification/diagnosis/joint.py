@@ -52,9 +52,7 @@ GRID_REACHES = (1.0, 0.2)
 GRID_POINTS = 9
 GRID_REFINEMENTS = 3
 MOST_OWN_STEPS, LEAST_STEP_SHARE = 4, 1.0 / 64.0
-"""Greatest number of Gauss-Newton steps of one effect's nonlinear parameters in one round, and the
-least share of a step that is tried.
-"""
+"""Greatest number of Gauss-Newton steps of an effect in a round, and least share of a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +85,7 @@ class Joint:
         return self.equations[0].unit
 
     def again(self, start: Nominal, effects: Sequence[Added]) -> Joint:
-        """Return a fit of the same recordings with these effects from other nominal values; noise
-        and blocks are those of this fit.
-        """
+        """Return a fit of these effects from other nominal values, with this fit's noise."""
         return fit(self.views, self.unit, start, effects, self)
 
     def rows_at(self, nominal: Nominal) -> tuple[Equation, ...]:
@@ -103,9 +99,7 @@ class Joint:
         raise NotImplementedError
 
     def unseen(self, aside: Sequence[View]) -> Stack | None:
-        """Return the stack of recordings set aside, relative to the noise of this fit; None if too
-        few samples are in steady motion.
-        """
+        """Return the stack of recordings set aside, over this fit's noise; None if too short."""
         sigma = {e.name: e.sigma for e in self.equations}
         rows = equations(aside, self.nominal, self.unit)
         known = [with_noise(e, sigma[e.name]) for e in rows if e.name in sigma]
@@ -248,9 +242,7 @@ def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, 
 
 
 def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
-    """Return the nominal values with those quantities of the effects on which regressors of other
-    effects depend.
-    """
+    """Return the nominal values with those effects' values on which other regressors depend."""
     nominal = nominal.without_effects()
     for effect in effects:
         if effect.coefficients:
@@ -266,9 +258,7 @@ class _SingleEffect(NamedTuple):
     left: Array
 
     def columns(self, effect: Added, shape: Shape) -> Array:
-        """Return the regressors of an effect at trial parameters, with all other effects projected
-        out, shape (n, k).
-        """
+        """Return an effect's regressors at trial parameters, less all other effects, (n, k)."""
         columns = self.stack.projected(self.stack.whitened(self.stack.columns(effect.term, shape)))
         return np.asarray(columns - self.effect_basis @ (self.effect_basis.T @ columns))
 
@@ -572,9 +562,7 @@ def with_lower_noise(baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
 
 
 def noise_left(equation: Equation, joint: Joint) -> Equation:
-    """Return an equation with the noise by the residual of a fit, if this noise is lower; an
-    equation that judges no model is not changed.
-    """
+    """Return an equation with the noise of a fit's residual if lower and if it judges a model."""
     if not equation.judges:
         return equation
     rest = without_tones(
@@ -612,9 +600,7 @@ def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
 
 
 def with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation with another noise; the own noise of each recording, if greater than the
-    noise of the equation, does not change.
-    """
+    """Return an equation with another noise; greater noises of single recordings stay."""
     ratio = equation.sigma / sigma
     own = {index: max(1.0, power * ratio**2) for index, power in equation.own.items()}
     return replace(equation, sigma=sigma, own=own)

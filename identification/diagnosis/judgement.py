@@ -289,9 +289,7 @@ def _location_of(
 
 
 def little_unseen(found: Search) -> bool:
-    """Whether the effects explain less of the mismatch on recordings set aside than the right
-    effects would (`nearly_complete`).
-    """
+    """Whether the effects explain less of the unseen mismatch than right ones would."""
     share = found.unseen_share
     return share is not None and share < RULES.nearly_complete
 

@@ -1,6 +1,4 @@
-"""Solves the linear least-squares problem within a joint fit for coefficients and for steps of
-nominal and nonlinear parameters.
-"""
+"""Linear least squares within a joint fit: coefficients, steps of all other parameters."""
 
 from __future__ import annotations
 

@@ -98,9 +98,7 @@ def parts(block: np.ndarray) -> np.ndarray:
 
 
 def unpredicted(basis: Array, residual: Array, part: np.ndarray) -> float:
-    """Return the sum of squares that remains if each part is predicted by orthonormal columns that
-    are fitted to the other parts.
-    """
+    """Return the squares that remain if each part is predicted from fits to the other parts."""
     coefficients = basis.T @ residual
     errors = residual - basis @ coefficients
     left = 0.0
@@ -227,9 +225,7 @@ def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
 
 
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
-    """Return the ranges of the coordinate of a map in which the band excludes zero; of a periodic
-    coordinate, the whole turn.
-    """
+    """Return a map's ranges whose band excludes zero; a periodic coordinate's whole turn."""
     outside = (found.low > 0.0) | (found.high < 0.0)
     if found.periodic:
         return ((0.0, 2.0 * np.pi),) if np.any(outside) else ()
@@ -257,9 +253,7 @@ def map_over(
     rng: np.random.Generator,
     bins: int = BINS,
 ) -> Map | None:
-    """Return the map of the mismatch over one coordinate with simultaneous bands, or None if the
-    coordinate has too few values.
-    """
+    """Return the mismatch over one coordinate with simultaneous bands, or None if too coarse."""
     values = axis.values
     grid = edges(values, bins)
     if len(grid) < 3:

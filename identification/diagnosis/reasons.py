@@ -82,9 +82,7 @@ def excess_of(found: Search) -> list[Excess]:
 
 
 def explains_nearly_all(found: Search) -> bool:
-    """Whether the effects explain at least the share of the mismatch beyond the noise that right
-    effects explain (`nearly_complete`).
-    """
+    """Whether the effects explain the share of the mismatch that right effects explain."""
     return judged_equation(found).explained >= RULES.nearly_complete
 
 
@@ -115,9 +113,7 @@ def adequate(found: Search) -> float:
 
 
 def insufficient(found: Search, share: float) -> bool:
-    """Whether the effects explain less than ``share`` of the mismatch beyond the noise, and a
-    mismatch beyond the noise is left.
-    """
+    """Whether the effects explain less than ``share`` of a mismatch beyond the noise."""
     worst = judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (

@@ -1,6 +1,4 @@
-"""Removes and replaces selected effects, by the squares that each effect explains in addition to
-the others, and by comparison with rivals.
-"""
+"""Removes and replaces effects, by the squares that each adds, and by comparison with rivals."""
 
 from __future__ import annotations
 

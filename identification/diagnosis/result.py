@@ -247,9 +247,7 @@ class Diagnosis:
 
     @property
     def misfit(self) -> tuple[Misfit, ...]:
-        """Ways in which the corrected model does not describe the recordings, the gravest first, in
-        the equation of ``fit``.
-        """
+        """Ways in which the corrected model fails the recordings, the gravest first (``fit``)."""
         fit = self.fit
         signs = {
             Misfit.EXPLAINS_LITTLE: (fit.relative or 0.0) ** 2 > 1.0 - LEAST_EXPLAINED,

@@ -521,9 +521,7 @@ the breakaway equation, so that they seem to explain any such mismatch.
 
 
 def edges(values: Array, bins: int = BINS) -> Array:
-    """Return the edges of ``bins`` bins with about equal numbers of samples, shape (b + 1,); fewer
-    bins if values repeat.
-    """
+    """Return the edges of about ``bins`` equally filled bins, shape (b + 1,)."""
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
 
 

@@ -1,6 +1,4 @@
-"""Tests whether physics is missing from a fit: by the size of the mismatch and by sign flips of
-whole blocks.
-"""
+"""Tests whether physics is missing from a fit: by its mismatch's size and by sign flips."""
 
 from __future__ import annotations
 
@@ -20,13 +18,9 @@ from identification.views.view import View
 
 DRAWS = 999
 BY_RECORDING = ("torque", "transmission")
-"""Equations whose mismatch is tested in each recording as well: a slip of an encoder, or a wrong
-label, is in one recording only.
-"""
+"""Equations tested in each recording too: a slip or a wrong label is in one recording only."""
 SINGULAR = 1e-6
-"""Determinant of a 2 x 2 covariance relative to its squared trace, below which the pseudo-inverse
-is used.
-"""
+"""Determinant of a 2 x 2 covariance over its squared trace, below which it is pseudo-inverted."""
 
 
 def trial_candidates(
@@ -78,9 +72,7 @@ def sign_flip_p_value(
 
 
 def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
-    """Return the statistic under sign flips of shape (draws, b), computed in the same way as the
-    observed statistic, shape (draws,).
-    """
+    """Return the statistic under sign flips of shape (draws, b), shape (draws,)."""
     sums, weights = candidate.blocks, candidate.weights
     if not len(weights):
         values, vectors = np.linalg.eigh(sums.T @ sums)
@@ -166,9 +158,7 @@ def greatest(rows: Array, equation: Equation) -> float:
 
 
 def level(equation: Equation) -> float:
-    """Return the mean square, over all rows, of the own noise of each row's recording, relative to
-    the square of the equation's noise.
-    """
+    """Return the mean square of the own noise of each row's recording over the equation's."""
     return float(np.mean(equation.allowed()))
 
 
@@ -230,9 +220,7 @@ recording, from which the rest is reported.
 """
 LEAST_BREAKAWAYS = 12
 LEAST_SHARE, CROWDED = 0.25, 3.0
-"""Share of the remaining mismatch from which a recording is reported, and least ratio of this share
-to the share of the rows.
-"""
+"""Least remaining share of a reported recording, and least ratio of it to the share of rows."""
 MOST_OF_IT = 0.8  # share of the mismatch of a recording that the reported interval of time contains
 
 
@@ -275,9 +263,7 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
 
 
 def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
-    """Return a text for each recording that contains a large part of the mismatch of the corrected
-    model, with the interval of time.
-    """
+    """Return a text on each recording that holds much of the corrected model's mismatch."""
     lines = []
     for equation in dict.fromkeys(t.equation for t in traces):
         mine = [t for t in traces if t.equation == equation]

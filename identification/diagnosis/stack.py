@@ -227,9 +227,7 @@ class Stack:
         return out
 
     def without(self, names: Collection[str]) -> Stack:
-        """Return the stack without the parameters ``names`` in the tangent of the torque equation;
-        the residual is not changed.
-        """
+        """Return the stack without the parameters ``names`` in the torque equation's tangent."""
         basis = [
             _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
             if e.name == "torque" and set(e.names) & set(names)
@@ -348,9 +346,7 @@ class Stack:
         )
 
     def term(self, term: Effect, shape: Shape) -> Candidate | None:
-        """Return the score of one effect at one set of nonlinear parameters, or None as in
-        :meth:`candidate`.
-        """
+        """Return an effect's score at given nonlinear parameters, or None (:meth:`candidate`)."""
         # An effect that occurs in one recording only is active in few blocks.
         alone = term.place is not None
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive, alone)
@@ -362,9 +358,7 @@ def _least_share(equations: Iterable[Equation]) -> float:
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
-    """Return these equations and all equations that the groups ``ties`` connect with them, directly
-    or indirectly.
-    """
+    """Return these equations and all that the groups ``ties`` connect with them."""
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
         found = found.union(*joined)
@@ -391,9 +385,7 @@ def view_regressors(
 
 
 def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
-    """Stack equations at the nominal values; if ``like`` is given, a stack of the same recordings,
-    its blocks and its cache are used.
-    """
+    """Stack equations at the nominal values; ``like`` lends its blocks and its cache."""
     basis = []
     residuals = []
     for equation in equations:

@@ -278,9 +278,7 @@ def _asked(
 def solve_stages(
     unloaded: Sequence[Prepared], loaded: Sequence[Prepared], model: Model, tell: Progress
 ) -> tuple[dict[str, float], list[Convergence]]:
-    """Solve the unloaded and the loaded stage by variable projection; return all values by name and
-    the record of each search.
-    """
+    """Solve both stages by variable projection; return values by name, and search records."""
     values: dict[str, float] = {}
     stages: list[Convergence] = []
     if unloaded:

@@ -17,13 +17,10 @@ from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.spread import CONFIDENCE, Spread, quantile
 
 LEVEL = 0.01
-"""Probability with which a unit is called odd in a fleet without an odd unit, and below which
-shared parameters count as different.
-"""
+"""Probability of an odd unit in a fleet without one, and of differing shared parameters."""
 LEAST_UNITS, LEAST_JUDGED = 3, 5
 """Least number of units with a mean and a spread, and of those of which one can be odd."""
-_FAR = 3.0
-"""Deviation from the median up to which a unit counts as sound at first."""
+_FAR = 3.0  # deviation from the median up to which a unit counts as sound at first
 _MIDDLE = float(special.ndtri(0.75))
 
 
@@ -87,24 +84,19 @@ class Odd:
 
 @dataclass(frozen=True)
 class Fleet:
-    """Result for all units; odd units are left out of the values of the others.
+    """Result for all units; odd units are left out of the values of the others."""
 
-    Attributes:
-        shared: Parameters that are the same in all units.
-        shared_p_value: Probability of the differences between the units' estimates of these
-            parameters, if they are the same; None if nothing can be compared.
-        populations: Mean and spread of every parameter that enough units determine; the spread of a
-            shared one is that of the units' own estimates.
-        units: Unit to its parameters. A unit that is not odd borrows from the others what its own
-            recordings do not determine well.
-        odd: What is odd, the least probable first.
-    """
-
-    shared: Mapping[str, Value]
+    shared: Mapping[str, Value]  # parameters that are the same in all units
+    # Probability of the differences between the units' estimates of these parameters, if they are
+    # the same; None if nothing can be compared.
     shared_p_value: float | None
+    # Mean and spread of every parameter that enough units determine; the spread of a shared one is
+    # that of the units' own estimates.
     populations: Mapping[str, Population]
+    # Unit to its parameters. A unit that is not odd borrows from the others what its own recordings
+    # do not determine well.
     units: Mapping[str, Mapping[str, Value]]
-    odd: tuple[Odd, ...]
+    odd: tuple[Odd, ...]  # what is odd, the least probable first
 
 
 def fleet(units: Mapping[str, Estimates], shared: Sequence[str] = ()) -> Fleet:
@@ -259,9 +251,7 @@ def _root(excess: Callable[[float], float], most: float) -> float:
 def _shared(
     units: Mapping[str, Estimates], names: Sequence[str]
 ) -> tuple[dict[str, float], Array, float | None]:
-    """Return the values that all units share, their covariance, and how probable the differences
-    are.
-    """
+    """Return the values that all units share, their covariance, and the differences' p-value."""
     names = [n for n in names if any(u.part([n])[0] for u in units.values())]
     weight, right, parts = np.zeros((len(names),) * 2), np.zeros(len(names)), []
     for unit in units.values():

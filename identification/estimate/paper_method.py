@@ -278,9 +278,7 @@ def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[f
 def collect(
     stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
 ) -> StageSamples:
-    """Return the equations of one stage; in the loaded stage the terms of the system parameters are
-    subtracted from the torque.
-    """
+    """Return the equations of a stage; the loaded stage's are less the system's terms."""
     require_motion(prepared)
     parts = []
     for p in prepared:

@@ -198,9 +198,7 @@ class Point:
         )
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals, innovations (rad) followed by ties (N m, M22), and their standard
-        deviations, shape (r,) each.
-        """
+        """Return innovations (rad), then ties (N m, M22), and their deviations, shape (r,) each."""
         p = self.parameters(x)
         times = self.times(x)
         errors, deviations = self.filter.run(p, times, self.noise)
@@ -258,9 +256,7 @@ class Point:
         return seeds
 
     def weighted(self, step: float = PARAMETER_STEP) -> Weighted:
-        """Return the residuals as a function of the free vector near this point, divided by the
-        standard deviations at this point.
-        """
+        """Return residuals over their deviations as a function of the free vector near here."""
         _, deviations = self.run()
         return Weighted(self, self._inflated(deviations), step)
 

@@ -74,9 +74,7 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
 
 def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return the impacted area A_s, on which the pressure difference acts (eq. 10), m^2, an array
-    of the shape of ``angle``.
-    """
+    """Return the impacted area A_s (eq. 10), m^2, an array of the shape of ``angle``."""
     return np.asarray(geometry.opening_area - throat_area(angle, geometry))
 
 

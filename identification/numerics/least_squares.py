@@ -134,9 +134,7 @@ def huber(residual: Array, threshold: float | Array) -> Array:
 
 
 def huber_weight(residual: Array, threshold: float | Array) -> Array:
-    """Return Huber's weight of each residual r, an array of the shape of ``residual``: 1 within the
-    threshold, and threshold / |r| beyond.
-    """
+    """Return Huber's weights, 1 within the threshold and threshold / |r| beyond it."""
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 
 

@@ -19,9 +19,7 @@ from identification.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class GeneticSettings:
-    """Settings of a search; the defaults are those of the paper (Sec. 4.2) or, where the paper
-    gives none, those of the toolbox.
-    """
+    """Settings of a search: defaults of the paper (Sec. 4.2), else of the toolbox."""
 
     population: int = 40  # number of individuals per generation
     # Share of the children, elite individuals excluded, that crossover makes; mutation makes the
@@ -225,9 +223,7 @@ def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def multi_start(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """Bounded trust-region least squares of SciPy from random start points in the box; the result
-    is the best of all starts.
-    """
+    """Bounded least squares of SciPy from random starts in the box; the best of all."""
     best, least = np.full(problem.size, 0.5), np.inf
     for start in rng.uniform(0.0, 1.0, (STARTS, problem.size)):
         found = optimize.least_squares(problem.residuals, start, bounds=(0.0, 1.0))

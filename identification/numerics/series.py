@@ -1,6 +1,4 @@
-"""Compiled functions of series: sine and cosine of large phases; and responses with memory: lag,
-Dahl friction, play, heating, delay.
-"""
+"""Compiled functions of series: sine, cosine; responses with memory: lag, Dahl, play, heat."""
 
 from __future__ import annotations
 

@@ -18,7 +18,6 @@ from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,
     BLUE,
-    CYCLE,
     GREY,
     MEASURED,
     MODEL,
@@ -203,30 +202,6 @@ def _labelled(coordinate: str, unit: str) -> str:
 def _quantity(missing: Curve) -> str:
     other = {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}
     return other.get(missing.equation, "force" if missing.residual_unit == "N" else "torque")
-
-
-Band = tuple[float, float, float]  # a share with the lower and upper end of its interval
-
-
-def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:
-    """Draw the shares of trials with a right name, with intervals, against bands of strength.
-
-    Args:
-        labels: Labels of the bands.
-        curves: Name to one share with its interval for each band.
-    """
-    made, (axis,) = figure(1, height=4.2)
-    for k, (color, (name, bands)) in enumerate(zip(CYCLE, curves.items(), strict=False)):
-        share, low, high = np.array(bands, dtype=np.float64).reshape(-1, 3).T
-        place = np.arange(len(labels)) + 0.1 * (k - 0.5 * (len(curves) - 1))
-        bars = (np.maximum(share - low, 0.0), np.maximum(high - share, 0.0))
-        axis.errorbar(place, share, bars, fmt="o-", color=color, capsize=3, label=name)
-    axis.set_ylim(-0.03, 1.03)
-    axis.set_xticks(range(len(labels)), labels)
-    axis.set_xlabel("change of the strongest channel over its noise")
-    axis.set_ylabel("share of trials")
-    axis.legend(fontsize=8)
-    return made
 
 
 FEW = 6  # number of hypotheses that are drawn, the most likely ones of any experiment

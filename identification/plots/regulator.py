@@ -24,42 +24,30 @@ from identification.plots.style import (
 
 __all__ = ["Figure", "areas", "closed_loop", "speeds", "sweep", "tracking", "uniform"]
 
-_COLORS = (VERMILION, BLUE)
 _MM2 = 1e6
 
 
-def tracking(
-    time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]
-) -> Figure:
-    """Draw the angle and its command, and the error between them.
-
-    Args:
-        time: s, shape (n,).
-        command: rad.
-        angles: Name to angle, rad.
-        errors: Name to command less angle, rad.
-    """
+def tracking(time: Array, command: Array, angle: Array, error: Array) -> Figure:
+    """Draw the angle and its command, rad, and the error between them, rad, over time, s."""
     made, (top, bottom) = figure(2, height=6.0, sharex=True)
     few = thinned(len(time))
     top.plot(time[few], np.rad2deg(command[few]), label="command", **COMMAND)
-    for color, (name, angle) in zip(_COLORS, angles.items(), strict=False):
-        top.plot(time[few], np.rad2deg(angle[few]), color=color, linewidth=1.5, label=name)
-    for color, (name, error) in zip(_COLORS, errors.items(), strict=False):
-        bottom.plot(time[few], 1e3 * error[few], color=color, linewidth=1.2, label=name)
+    top.plot(time[few], np.rad2deg(angle[few]), color=VERMILION, linewidth=1.5, label="angle")
+    bottom.plot(time[few], 1e3 * error[few], color=VERMILION, linewidth=1.2)
     top.set_ylabel("joint angle (deg)")
     bottom.set_ylabel("command - angle (mrad)")
     bottom.set_xlabel("time (s)")
-    legend_above(top, 3)
+    legend_above(top, 2)
     return made
 
 
-def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
-    """Draw joint speeds; a panel has title, time (s), command and measured (rad/s)."""
+def speeds(panels: Sequence[tuple[str, Array, Array, Array]]) -> Figure:
+    """Draw joint speeds; a panel has title, time (s), commanded and measured speed (rad/s)."""
     made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
     for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
         few = thinned(len(time), 20000)
-        for color, (how, speed) in zip(_COLORS, measured.items(), strict=False):
-            axis.plot(time[few], np.rad2deg(speed[few]), color=color, linewidth=1.0, label=how)
+        speed = np.rad2deg(measured[few])
+        axis.plot(time[few], speed, color=VERMILION, linewidth=1.0, label="measured")
         axis.plot(time[few], np.rad2deg(commanded[few]), label="command", **COMMAND)
         axis.set_title(name, fontsize=10, loc="left")
         axis.set_ylabel("joint speed (deg/s)")
@@ -67,7 +55,7 @@ def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> F
         ticks = (-100, -10, -2, -1, 0, 1, 2, 10, 100)
         axis.set_yticks(ticks, map(str, ticks))
     axes[-1].set_xlabel("time (s)")
-    legend_above(axes[0], 3)
+    legend_above(axes[0], 2)
     return made
 
 

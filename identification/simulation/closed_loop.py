@@ -153,9 +153,7 @@ class Inputs:
 
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
-    """Return the parameter vector (:mod:`identification.model.parameters`) of the joint with the
-    recording's known loads.
-    """
+    """Return the parameter vector of the joint with the recording's known loads."""
     body = pack(values, alpha)
     body[INERTIA] += recording.known_inertia
     body[STEADY] = recording.steady_torque

@@ -50,9 +50,7 @@ RISE_SAMPLES = 5
 STEADY_SHARE = 0.7
 """Peak-to-peak speed around a sample over the speed, from which motion counts as unsteady."""
 HUNTING_SHARE = 0.09
-"""Ratio of the rms of the part of the speed that the filter removes to the filtered speed, from
-which motion counts as unsteady too.
-"""
+"""Rms of the speed that the filter removes over the speed, from which motion is unsteady."""
 QUICK_SAMPLES = 2
 """Number of samples before and after a sample over which the unfiltered speed is computed."""
 BEYOND_FILTER = 3.0
@@ -162,9 +160,7 @@ def travel(angle: Array, turned: BoolArray) -> Array:
 LEAST_STEADY = 0.1
 """Samples in unsteady motion are omitted only if this share of all is in steady motion."""
 SAME_ENCODER = 1e-9
-"""Greatest difference of motor and joint angle, relative to the travel, at which both angles count
-as readings of one encoder.
-"""
+"""Greatest difference of two angles, relative to the travel, of one and the same encoder."""
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench."""
 AS_COMPUTED = 1e-3
@@ -587,9 +583,7 @@ def at_scale(angles_rad: Sequence[float], views: Sequence[View]) -> list[float]:
 
 
 def voltage_is_computed(recording: Recording) -> bool:
-    """Whether the torque of a recording is computed from a voltage that was itself computed from
-    the samples by the control law.
-    """
+    """Whether the torque comes from a voltage that the control law gave from the samples."""
     channels, loop = recording.channels, recording.controller
     if (
         loop is None

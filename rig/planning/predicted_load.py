@@ -175,9 +175,7 @@ class PredictedLoad:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, or above them by the paper's friction: one message
-        for all peaks with the same remedy.
-        """
+        """Messages on peaks near limits, or above them by the paper's friction, by remedy."""
         found: dict[tuple[str, str], list[str]] = {}
         for peak in self.peaks:
             measured, above = self._measured(peak), peak.share > 1.0

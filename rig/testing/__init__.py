@@ -24,13 +24,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run.
+    """A finished run."""
 
-    Attributes:
-        folder: The run folder.
-    """
-
-    folder: Path
+    folder: Path  # the run folder
 
     @property
     def page(self) -> Path:
@@ -122,19 +118,12 @@ def _distance(limit: Limit | None, check: Check) -> str:
 
 @dataclass
 class Bench:
-    """A bench that tests run sequences on.
+    """A bench that tests run sequences on."""
 
-    Attributes:
-        name: Bench file, or the name of a packaged bench.
-        out: Folder of the run folders.
-        wait_s: Time, s, to wait while another program uses the bench.
-        used: Runs that the present test uses.
-    """
-
-    name: str
-    out: Path
-    wait_s: float = 0.0
-    used: list[Run] = field(default_factory=list)
+    name: str  # bench file, or the name of a packaged bench
+    out: Path  # folder of the run folders
+    wait_s: float = 0.0  # time, s, to wait while another program uses the bench
+    used: list[Run] = field(default_factory=list)  # runs that the present test uses
     _shared: dict[str, Run | None] = field(default_factory=dict)
 
     def run(self, sequence: str | Path, *options: str) -> Run:

@@ -495,9 +495,7 @@ def nominal_of(bench: Bench) -> Nominal:
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the EDS and DBC files of the devices, and the file of a simulated machine, by name;
-    InputError if a real device has none.
-    """
+    """Return device and machine files by name; InputError if a real device lacks its EDS."""
     bench = document.value
     found = {}
     if (plant := plant_file(document)) is not None:

@@ -124,7 +124,7 @@ def test_the_same_bytes_from_workers_that_share_no_files(tmp_path: Path, sealed:
         found.append({f.relative_to(out): f.read_bytes() for f in files})
     assert found[0] == found[1]
     assert len(found[0]) == 1 + 3 * 3 + 1
-    assert json.loads(found[0][Path("rows/b.json")])["oracle"]["remaining_strength"]
+    assert json.loads(found[0][Path("rows/b.json")])["oracle"]["oracle_rms"]
 
 
 def test_a_campaign_with_files_elsewhere_cannot_travel(sealed: Path) -> None:

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from identification.estimate.paper_method import identify_paper
-from identification.model.parameters import NOMINAL
 from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.config.configuration import resolve
-from rig.planning.feedforward import Feedforward
 from rig.results.identify.identify import METHODS
 from rig.results.paper import figures
 from rig.results.paper import tables as paper
@@ -31,11 +29,8 @@ def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
-    """Fig. 2 and 9 on a shorter ramp, with the true parameters."""
+    """Fig. 2 and 9 on a shorter ramp."""
     scratch = tmp_path_factory.mktemp("ramps")
-    known = scratch / "known.json"
-    known.write_text("{}")
-    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
     with pytest.MonkeyPatch.context() as patch:
         short = scratch / "slow_ramp.yaml"
         text = resolve("slow_ramp", "sequences").read_text()
@@ -45,20 +40,16 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
             )
         )
         patch.setattr(figures, "RAMP_SEQUENCE", str(short))
-        return figures.ramp_exhibits(
-            *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, 3)
-        )
+        return figures.ramp_exhibits(scratch, 3)
 
 
 @pytest.mark.proof
-def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list[Exhibit]) -> None:
+def test_fig_2_shows_stick_slip_and_steady_state_error(ramps: list[Exhibit]) -> None:
     data = numbers(ramps[0])
-    plain, fed = (data["command_rad"] - data[name] for name in ("angle_rad", "angle_fed_rad"))
-    assert abs(plain[-1]) > 5e-3
-    assert abs(fed[-1]) < 1e-4
+    assert abs(data["command_rad"][-1] - data["angle_rad"][-1]) > 5e-3
     jumps = np.diff(data["angle_rad"]) / np.diff(data["time_s"])
     assert jumps.max() > 10 * np.deg2rad(1.0)
-    assert "mrad off at the end" in ramps[0].found[1]
+    assert "mrad off at the end" in ramps[0].found[0]
 
 
 @pytest.mark.proof
@@ -66,9 +57,6 @@ def test_fig_9_is_the_speed_of_both_loads(ramps: list[Exhibit]) -> None:
     data = numbers(ramps[1])
     moving = np.abs(data["command_rad_s"] - np.deg2rad(1.0)) < 1e-9
     assert np.mean(np.abs(data["unloaded_rad_s"][moving]) < 1e-4) > 0.7  # it waits
-    for name in ("unloaded", "loaded"):
-        even = data[f"{name}_fed_rad_s"][moving][50:]
-        assert np.sqrt(np.mean((even / np.deg2rad(1.0) - 1.0) ** 2)) < 0.1, name
 
 
 def test_fig_3_is_what_the_paper_says_of_it() -> None:

@@ -13,7 +13,7 @@ from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
-from rig.results.prove.score import confusion, power, rate, row_of, score
+from rig.results.prove.score import confusion, rate, row_of, score
 from rig.results.prove.truth import seal_truth, unseal
 
 SEED, ENGINE = 3, Processes(1)
@@ -27,7 +27,6 @@ def no_progress(what: str, share: float) -> None:
     pass
 
 
-BESIDE = {"backlash": 9.0}
 PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
 
 
@@ -135,7 +134,7 @@ def test_a_confident_name_outside_the_catalogue_is_kept_account_of() -> None:
 def gain(source: Path, names: Sequence[str]) -> dict[str, Any]:
     """Return what the true structures gain on recordings that were set aside."""
     rms = {"baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1}
-    return {"equation": "transmission", **rms, "remaining_strength": BESIDE}
+    return {"equation": "transmission", **rms}
 
 
 def test_the_place_is_held_against_the_catalogue() -> None:
@@ -213,16 +212,11 @@ def test_clopper_pearson() -> None:
     assert rate(0, 0)["share"] is None
 
 
-def test_power_and_confusion_split_the_rigs() -> None:
+def test_the_confusion_splits_the_rigs() -> None:
     rows = [
         scored("one", NOTHING, 0.5, backlash=GAP),
         scored("one", diagnosed(effect("compliance")), 2.0, backlash=GAP),
         scored("one", diagnosed(effect("backlash")), 50.0, backlash=GAP),
-    ]
-    assert [(b["from"], b["to"], b["detected"]["n"], b["top1"]["n"]) for b in power(rows)] == [
-        (0.3, 1.0, 0, 0),
-        (1.0, 3.0, 1, 0),
-        (30.0, None, 1, 1),
     ]
     assert confusion(rows) == {"backlash": {"backlash": 1, "compliance": 1, "nothing_missing": 1}}
     assert score(rows)["top1"] == rate(1, 1)

@@ -19,6 +19,7 @@ from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import problems
 from identification.effects import EFFECTS
 from rig.results.prove.engine import Processes
+from rig.results.prove.judge import oracle_of
 from rig.results.prove.truth import unseal
 from rig.sources import load_source
 
@@ -58,3 +59,4 @@ def test_rigs_are_sealed_and_their_campaigns_tell_nothing(
         ]
     assert kinds == {"one": [True, True], "nothing": [False, False]}
     assert len({sealed.campaign.read_text() for sealed in rigs}) == 1
+    assert oracle_of(rigs[0].campaign, ["leakage"]) is None, "the oracle is of the motion"

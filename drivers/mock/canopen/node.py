@@ -207,9 +207,7 @@ class _Transfer:
 
 
 class SdoServer:
-    """Answers SDO requests from an object dictionary, with the abort codes of CiA 301. Values of
-    more than four bytes can be read, and not written.
-    """
+    """Answers SDO requests from an object dictionary; values above four bytes are read-only."""
 
     def __init__(self, dictionary: DeviceDictionary, refresh: Callable[[], None]) -> None:
         self._dictionary = dictionary

@@ -150,9 +150,7 @@ class HostedMachine(DrivenMachine):
             super().power(on)
 
     def truth(self) -> Truth:
-        """Return the state; NaN for what the machine does not tell. The current is that which the
-        drive feeds: without power it is zero.
-        """
+        """Return the state, NaN for what is unknown; the current is zero without power."""
         s = self._s
         current = float(s[loops.CURRENT]) if self.powered else 0.0
         pressure = self.constants.gas.back_pressure_Pa

@@ -233,9 +233,7 @@ class DrivenMachine(ABC):
 
     @abstractmethod
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
-        """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
-        the sensors and set the target.
-        """
+        """For each target (motor encoder counts): advance a cycle, sample, and set the target."""
 
     @abstractmethod
     def _advance(self, count: int) -> None:

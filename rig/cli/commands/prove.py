@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rig.results.prove.truth import Sealed
 
 
-_STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with 20 seeds
+_STUDY_SHARE = 0.3  # share of the figures' runs in the time of the command with 20 seeds
 
 
 @click.command("paper")

@@ -28,43 +28,32 @@ TOLERANCE_WIDTHS: Final = 6.0
 
 @dataclass(frozen=True)
 class Studied:
-    """Scatter of one constant.
-
-    Attributes:
-        runs: Number of runs that determine the constant.
-        from_intervals: Standard deviation that the intervals of the runs state; None without them.
-        tolerance: Lower and upper limit of acceptance; None without both.
-        scatter: Standard deviations by part of the scatter; empty with too few runs.
-        shares: Six standard deviations over the width of the tolerance, by part of the scatter.
-        merged: Factors that the runs do not separate; another part contains their scatter.
-    """
+    """Scatter of one constant."""
 
     unit: str
-    runs: int
+    runs: int  # number of runs that determine the constant
     mean: float
+    # Standard deviation that the intervals of the runs state; None without them.
     from_intervals: float | None
-    tolerance: tuple[float, float] | None
+    tolerance: tuple[float, float] | None  # lower and upper limit of acceptance; None without both
+    # Standard deviations by part of the scatter; empty with too few runs.
     scatter: Mapping[str, Scatter]
+    # Six standard deviations over the width of the tolerance, by part of the scatter.
     shares: Mapping[str, float]
+    # Factors that the runs do not separate; another part contains their scatter.
     merged: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Study:
-    """Runs of one bench, and the scatter of their constants.
-
-    Attributes:
-        runs: Folder, begin, day (UTC) and operator of each run.
-        constants: Scatter by the name of the constant.
-        left_out: Runs that do not count, with the reason.
-    """
+    """Runs of one bench, and the scatter of their constants."""
 
     bench: str
     simulated: bool | None
     method: str
-    runs: tuple[Mapping[str, str], ...]
-    constants: Mapping[str, Studied]
-    left_out: tuple[str, ...]
+    runs: tuple[Mapping[str, str], ...]  # folder, begin, day (UTC) and operator of each run
+    constants: Mapping[str, Studied]  # scatter by the name of the constant
+    left_out: tuple[str, ...]  # runs that do not count, with the reason
 
 
 def studies(

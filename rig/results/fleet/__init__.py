@@ -36,16 +36,13 @@ from rig.results.identify.identify import Outcome, Request, outcome_record
 from rig.sources import load_source
 
 FLEET_FILE, FLEET_SCHEMA = "fleet.json", "loadrig.fleet/1"
-SESSION_GAP_S = 3600.0
-"""Least pause between two sessions of a unit."""
+SESSION_GAP_S = 3600.0  # least pause between two sessions of a unit
 _SHOWN = 5
 
 
 @dataclass(frozen=True)
 class Found:
-    """Result of all units: unit to its identification, without those that cannot be identified, and
-    what the units say together.
-    """
+    """Result of all units: each identification that was possible, and what they say together."""
 
     dataset: Dataset
     results: Mapping[str, Identification]

@@ -427,9 +427,7 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
 
 
 def determined_notes(results: Sequence[Identification]) -> list[str]:
-    """Return the number of parameters that the intervals as printed determine, and the least
-    accurate of these.
-    """
+    """Return how many parameters the printed intervals determine, and the least accurate."""
     lines = []
     for result in results:
         widths = {

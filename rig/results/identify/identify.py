@@ -180,9 +180,7 @@ def compare_methods(
     truth: Mapping[str, float] | None,
     progress: Callable[[str, float], None],
 ) -> Outcome:
-    """Return an outcome with a comparison of all estimators; each stochastic search is run with
-    ``COMPARED_SEEDS`` random seeds.
-    """
+    """Return an outcome with all estimators compared; stochastic ones with several seeds."""
     started = time.perf_counter()
     seed = outcome.provenance.seed
     seeds = range(seed, seed + COMPARED_SEEDS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -29,21 +29,17 @@ from identification.estimate.equation_error import (
 )
 from identification.model.friction import load_coefficient, system_friction
 from identification.plots import regulator
-from identification.recording import Array, Dataset, Recording
+from identification.recording import Array, Recording
 from identification.signals import Tracking, track, tracking_error
-from rig.common.places import write_json
 from rig.common.tables import number, percent
 from rig.config.bench import load_bench
 from rig.config.configuration import Document, load_located
 from rig.config.sequence import FlowSection, load_sequence
 from rig.config.sequence import Sequence as SequenceFile
 from rig.control.session import run_simulated
-from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.planning.hot_fire import nominal_generator, pressure_for
 from rig.results.document import Picture, Table
-from rig.results.identify.identify import Request, identification_record, identify_source
 from rig.runs.recorded_inputs import true_parameters
-from rig.runs.run import bench_constants
 
 Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 """Column titles with their units, and the rows of the table."""
@@ -112,81 +108,59 @@ def true_machine(name: str) -> Machine:
     return machine
 
 
-def identified(
-    name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]
-) -> Feedforward:
-    """Run ``figure10`` on a packaged bench and identify that run."""
-    bench = load_bench(name)
-    progress(f"running figure10 on {name}", 0.0)
-    run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
-    outcome = identify_source(scratch / f"{name}-run", Request(seed=seed), progress)
-    result = scratch / f"{name}.json"
-    write_json(result, identification_record(outcome.results[0], outcome.provenance))
-    return load_feedforward(result, bench_constants(bench.value))
-
-
 RAMP_BENCH, RAMP_SEQUENCE = "practical_soft", "slow_ramp"
 _SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
 _THIN = 10  # the data files contain every tenth sample
 
 
-def run_both(
-    bench: str, sequence: str, scratch: Path, model: Feedforward, seed: int
-) -> tuple[Dataset, Dataset]:
-    """Run a sequence without and with feed-forward, with noise that no identification has had."""
-    loaded, plan = load_bench(bench), load_sequence(sequence)
-    plain = run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-plain")
-    return plain, run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-fed", model)
-
-
-def _both(of: Callable[[Recording], Array], plain: Recording, fed: Recording) -> dict[str, Array]:
-    return {"without feed-forward": of(plain), "with it": of(fed)}
-
-
-def ramp_exhibits(without: Dataset, with_it: Dataset) -> list[Exhibit]:
+def ramp_exhibits(scratch: Path, seed: int) -> list[Exhibit]:
     """Return Fig. 2 (angle, steady-state error) and Fig. 9 (speed, without and with load)."""
-    plain, fed = without.recordings, with_it.recordings
+    plan = load_sequence(RAMP_SEQUENCE)
+    ramps = run_simulated(load_bench(RAMP_BENCH), plan, seed, scratch / RAMP_BENCH).recordings
     ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
+    first, time = ramps[0], _time(ramps[0])
+    command, angle = first.channels["command"], first.channels["angle"]
+    commanded = np.gradient(command, first.period)
     fig_2 = Exhibit(
         "fig_2",
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",
         "Angle against time while the regulator follows a low-speed ramp, gas generator not "
         "working: the valve waits, "
         "jumps and waits, and comes to rest with an error. The paper gives no speed and no gains.",
+        (_words(f"{ramp}, no weight", track(first)),),
         (
-            f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
-            _words(
-                "With the torque offset computed from parameters identified from a log of "
-                "this bench",
-                track(fed[0]),
+            Picture.of(
+                "fig_2",
+                f"Fig. 2: {ramp}, no weight",
+                regulator.tracking(time, command, angle, tracking_error(first)),
             ),
         ),
-        (Picture.of("fig_2", f"Fig. 2: {ramp}, no weight", _angle_figure(plain[0], fed[0])),),
-        {"fig_2": _data(plain[0], fed[0])},
+        {
+            "fig_2": _thinned(
+                time_s=time,
+                command_rad=command,
+                angle_rad=angle,
+                current_A=first.channels["current"],
+            )
+        },
     )
-    names = ("no weight", "30.6 kg (3000 N)")
-    pairs = list(zip(plain, fed, strict=True))
+    named = dict(zip(("no weight", "30.6 kg (3000 N)"), ramps, strict=True))
+    panels = [(name, _time(each), commanded, _speed(each)) for name, each in named.items()]
+    speeds = {f"{each.stage}_rad_s": _speed(each) for each in ramps}
     fig_9 = Exhibit(
         "fig_9",
         "Fig. 9: a position loop that should turn uniformly",
         "The regulator is commanded to move uniformly, but sticks and slips. For this reason the "
         "paper regards the conventional identification (eq. 14) as impossible for this regulator.",
-        tuple(
-            _words(f"{name}, {how}", track(recording))
-            for name, pair in zip(names, pairs, strict=True)
-            for how, recording in zip(("without feed-forward", "with it"), pair, strict=True)
-        ),
+        tuple(_words(name, track(each)) for name, each in named.items()),
         (
             Picture.of(
                 "fig_9",
-                "Fig. 9: joint speed on the same ramp, mean over 20 ms, without and with "
-                "feed-forward",
-                regulator.speeds(
-                    [(name, *_speeds(*pair)) for name, pair in zip(names, pairs, strict=True)]
-                ),
+                "Fig. 9: joint speed on the same ramp, mean over 20 ms",
+                regulator.speeds(panels),
             ),
         ),
-        {"fig_9": _speed_data(pairs)},
+        {"fig_9": _thinned(time_s=time, command_rad_s=commanded, **speeds)},
     )
     return [fig_2, fig_9]
 
@@ -203,44 +177,10 @@ def _time(recording: Recording) -> Array:
     return np.asarray(recording.time - recording.time[0])
 
 
-def _angle_figure(plain: Recording, fed: Recording) -> regulator.Figure:
-    command = plain.channels["command"]
-    angles = _both(lambda recording: recording.channels["angle"], plain, fed)
-    return regulator.tracking(_time(plain), command, angles, _both(tracking_error, plain, fed))
-
-
-def _speeds(plain: Recording, fed: Recording) -> tuple[Array, Array, dict[str, Array]]:
-    commanded = np.gradient(plain.channels["command"], plain.period)
-    return _time(plain), commanded, _both(_speed, plain, fed)
-
-
 def _speed(recording: Recording) -> Array:
     n = round(_SPEED_SPAN_S / recording.period)
     padded = np.pad(recording.channels["angle"], (n // 2, n - n // 2), mode="edge")
     return np.asarray((padded[n:] - padded[:-n]) / (n * recording.period))
-
-
-def _data(plain: Recording, fed: Recording) -> Rows:
-    return _thinned(
-        time_s=_time(plain),
-        command_rad=plain.channels["command"],
-        angle_rad=plain.channels["angle"],
-        angle_fed_rad=fed.channels["angle"],
-        current_A=plain.channels["current"],
-        current_fed_A=fed.channels["current"],
-    )
-
-
-def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    first = pairs[0][0]
-    named = {
-        "time_s": _time(first),
-        "command_rad_s": np.gradient(first.channels["command"], first.period),
-    }
-    for plain, fed in pairs:
-        named[f"{plain.stage}_rad_s"] = _speed(plain)
-        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)
-    return _thinned(**named)
 
 
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)

@@ -37,7 +37,7 @@ from rig.results.document import (
 )
 from rig.results.identify.identify import METHODS
 from rig.results.paper import figures
-from rig.results.paper.figures import Exhibit, Rows, columns, files_of, identified, true_machine
+from rig.results.paper.figures import Exhibit, Rows, columns, files_of, true_machine
 from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import bench_constants
 
@@ -397,9 +397,6 @@ def chosen() -> list[str]:
         "centre at 0 deg.",
         "Flow controller of Fig. 5 and 11: flow command to pressure command (eq. 2), PI on the "
         "logarithm of the pressure, anti-windup; its gains are in the sequence file.",
-        "Compensation: the drive's torque offset (60B2h) from parameters identified from the same "
-        "bench's log, with stiffness and damping against the command, and pulses where friction "
-        "falls too steeply for stiffness and damping; the paper proposes no compensation.",
     ]
 
 
@@ -493,13 +490,9 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
     """Make the runs and draw all figures except those of the tables, in the order of the paper."""
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
-        progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
-        model = identified(figures.RAMP_BENCH, scratch, seed, lambda what, share: None)
-        progress("Fig. 2 and 9: slow ramps", 0.2)
-        fig_2, fig_9 = figures.ramp_exhibits(
-            *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, seed)
-        )
-        progress("eq. 14: uniform motion on two gain sets", 0.45)
+        progress("Fig. 2 and 9: slow ramps", 0.0)
+        fig_2, fig_9 = figures.ramp_exhibits(scratch, seed)
+        progress("eq. 14: uniform motion on two gain sets", 0.1)
         eq_14 = figures.uniform_exhibit(figures.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
         fig_4 = figures.sweep_exhibit(seed)

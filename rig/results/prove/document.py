@@ -5,25 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from identification.plots.mismatch import power_curve
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
-from rig.results.document import Document, Note, Picture, Section, Table, provenance_section
+from rig.results.document import Document, Note, Section, Table, provenance_section
 from rig.results.prove.score import STRONG
 
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
     "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
-    "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
-    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias "
-    f"group",
     "top1_left": f"one effect, remaining strength {STRONG:g} or more: named first",
     "alias_group_left": f"one effect, remaining strength {STRONG:g} or more: in the alias group",
     "top1_all": "one effect, any strength: named first",
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
     "both_named_left": f"two effects, remaining strength {STRONG:g} or more: both named",
-    "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "no injected effect: false alarms",
     "outside": "outside the catalogue: reported as such",
@@ -63,7 +58,7 @@ def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
 
 def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Section]:
     yield Section("", tuple(map(Note, _remarks(result))))
-    yield Section("Rates", (_rates(result), *_power(result)))
+    yield Section("Rates", (_rates(result),))
     yield Section("Location of the mismatch", (_places(result),))
     yield Section("Injected and named effects", (_confusion(result),))
     yield Section("Confidence and share of right names", (_reliability(result),))
@@ -166,31 +161,7 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
             f"remaining strength below {STRONG:g} after a new fit of the nominal parameters: "
             f"trials {', '.join(map(str, result['absorbed']))}."
         )
-    if result["most_frequent_class"] is not None:
-        lines.append(
-            f"If the most frequent effect were named on every trial, "
-            f"{100 * result['most_frequent_class']:.1f} % of the names would be right."
-        )
     return lines
-
-
-def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
-    bands = result["power"]
-    if not bands:
-        return
-    labels = [
-        f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}"
-        for b in bands
-    ]
-    curves = {
-        words: [(b[key]["share"], b[key]["low"], b[key]["high"]) for b in bands]
-        for key, words in {
-            "detected": "something missing",
-            "alias_group": "alias group",
-            "top1": "named first",
-        }.items()
-    }
-    yield Picture.of("power", "Found and named against strength", power_curve(labels, curves))
 
 
 def _confusion(result: Mapping[str, Any]) -> Table:

@@ -46,8 +46,9 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
         The record of a :class:`~identification.diagnosis.held_out.HeldOut`, or None if the nominal
         model cannot be fitted, or if the campaign has no unused recordings.
     """
-    dataset, bandwidth, _ = choose(load_source(source), None)
+    dataset = load_source(source)
     try:
+        dataset, bandwidth, _ = choose(dataset, None)
         _, first = views_and_fit(dataset, bandwidth)
         found = oracle(dataset, first, names, bandwidth)
     except RecordingError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, get_args
 
@@ -348,9 +347,6 @@ def _parts(pairs: Sequence[tuple[Any, Row]]) -> Iterator[dict[str, Any]]:
 PROVE_SCHEMA = "loadrig.prove/4"
 RESULT_FILE = "prove.json"
 STRONG = 3.0  # least strength of an effect that must be identified: rms change over noise
-TORQUE = "current"
-"""Channel in which the torque of an effect is measured: the motor current during motion."""
-EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
 def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
@@ -371,7 +367,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
     one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
     scored = [row for row in rows if row["kind"] != "unscored"]
     strong = [row for row in one if row["strength"] >= STRONG]
-    torque = [row for row in one if row["strength_by_channel"].get(TORQUE, 0.0) >= STRONG]
     shown = [row for row in one if (row["left"] or 0.0) >= STRONG]
     inside = [
         p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None
@@ -381,8 +376,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "counts": {kind: len(by_kind[kind]) for kind in get_args(Kind)},
         "top1": count(strong, "top1"),
         "alias_group": count(strong, "alias"),
-        "top1_torque": count(torque, "top1"),
-        "alias_group_torque": count(torque, "alias"),
         "top1_left": count(shown, "top1"),
         "alias_group_left": count(shown, "alias"),
         "absorbed": [
@@ -392,7 +385,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "alias_group_all": count(one, "alias"),
         "both_named": count([row for row in two if row["strength"] >= STRONG], "top1"),
         "both_named_left": count([row for row in two if (row["left"] or 0.0) >= STRONG], "top1"),
-        "both_named_beside": count([row for row in two if _beside(row) >= STRONG], "top1"),
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
         "alarms": [row["rig"] for row in nothing if row["alarm"]],
@@ -409,21 +401,12 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "location_f1": location_f1(strong, nothing),
         "probability": rate(sum(row["probability"] for row in strong), len(strong)),
         "confusion": confusion(one),
-        "power": power(one),
         "oracle_fraction": middle(one + two, "oracle_fraction"),
         "floor_fraction": middle(one + two, "floor_fraction"),
         "worse_than_baseline": worse(rows),
         "intervals": rate(sum(inside), len(inside)),
-        "most_frequent_class": _most_frequent(one),
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
     }
-
-
-def _beside(row: Row) -> float:
-    """Return the smaller remaining strength of two effects, each with the other known."""
-    return (
-        0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
-    )
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
@@ -479,18 +462,6 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
     return {name: dict(sorted(table[name].items())) for name in sorted(table)}
 
 
-def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rates of detection and naming against strength, by band."""
-    bands = []
-    for low, high in pairwise(EDGES):
-        mine = [row for row in rows if low <= row["strength"] < high]
-        if mine:
-            detected, top1, alias = (count(mine, key) for key in ("alarm", "top1", "alias"))
-            band = {"from": low, "to": None if high == float("inf") else high}
-            bands.append({**band, "detected": detected, "top1": top1, "alias_group": alias})
-    return bands
-
-
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the trials whose held-out error grew by more than the noise floor."""
     known = [
@@ -503,10 +474,3 @@ def worse(rows: Sequence[Row]) -> dict[str, Any]:
         sum(r["validate_final_rms"] > r["validate_baseline_rms"] + m for r, m in margins),
         len(known),
     )
-
-
-def _most_frequent(rows: Sequence[Row]) -> float | None:
-    """Return the share of trials with the most frequent effect."""
-    if not rows:
-        return None
-    return Counter(row["effects"][0] for row in rows).most_common(1)[0][1] / len(rows)

@@ -90,12 +90,8 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     found = oracle(Dataset(lopsided), first, ["asymmetric_viscous"], 25.0)
     assert found.equation == "torque"
     assert found.oracle_rms < 1.3 * found.noise_rms < 0.3 * found.baseline_rms
-    assert found.remaining_strength["asymmetric_viscous"] > 3.0
     both = oracle(Dataset(lopsided), first, ["asymmetric_viscous", "torque_ripple"], 25.0)
-    assert both.remaining_strength["torque_ripple"] < 0.3  # which is not there
-    assert both.remaining_strength["asymmetric_viscous"] == pytest.approx(
-        found.remaining_strength["asymmetric_viscous"], rel=0.05
-    )
+    assert both.oracle_rms == pytest.approx(found.oracle_rms, rel=0.05)
     wrong = oracle(Dataset(lopsided), first, ["cogging"], 25.0)
     assert wrong is None or wrong.baseline_rms - wrong.oracle_rms < 0.1 * (
         found.baseline_rms - found.oracle_rms

@@ -1,6 +1,4 @@
-"""Injected effects that are in no catalogue: a diagnosis must locate such an effect, and must not
-identify an effect of the catalogue.
-"""
+"""Injected effects outside the catalogue, which a diagnosis must locate and not identify."""
 
 from __future__ import annotations
 

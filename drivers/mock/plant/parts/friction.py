@@ -1,6 +1,4 @@
-"""Stribeck friction of the simulated joint: eq. 9 (system load) plus eq. 12 and 13 (working load);
-and the throat of its valve.
-"""
+"""Stribeck friction of the simulated joint (eq. 9, 12, 13), and the throat of its valve."""
 
 from __future__ import annotations
 
