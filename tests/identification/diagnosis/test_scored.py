@@ -60,7 +60,9 @@ def of_hidden() -> tuple[Dataset, Diagnosis]:
 
 def test_without_effects_constants_and_error_are_those_of_the_identification() -> None:
     found, estimate = of_honest()
-    assert found.verdict is Verdict.NOTHING_MISSING
+    assert (found.verdict, found.effects) == (Verdict.NOTHING_MISSING, ())
+    assert found.p_value > 0.01
+    assert found.fit.final_rms < 1.2 * found.fit.noise_floor_rms
     assert {n: found.parameters[n] for n in estimate.fitted} == dict(estimate.fitted)
     for name, shift in found.parameter_shift.items():
         assert shift.before == shift.after == estimate.parameters[name].value
