@@ -26,7 +26,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "rig.control.safety": ("tests/rig/test_safety.py",),
     "rig.wiring.drive_limits": ("tests/rig/test_drive_limits.py",),
     "rig.terminal.stop_button": ("tests/rig/test_stop_button.py",),
-    "rig.common.timing": ("tests/rig/test_timing.py",),
+    "rig.common.timing": ("tests/rig/test_run_samples.py",),
     "rig.control.cycle": ("tests/rig/test_cycle.py",),
     "rig.wiring.guard": ("tests/rig/test_guard.py",),
     "rig.wiring.guardian": ("tests/rig/test_guardian.py",),

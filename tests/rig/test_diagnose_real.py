@@ -186,7 +186,8 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
     )
 
 
-@pytest.mark.parametrize("amperes", [pytest.param(0.3, marks=pytest.mark.proof), -0.3])
+@pytest.mark.proof
+@pytest.mark.parametrize("amperes", [0.3, -0.3])
 def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) -> None:
     """No motion at one load tells it from asymmetric friction."""
     own = diagnosed_in_amperes(0.0, declared=True).parameter_shift["offset"]
@@ -228,7 +229,8 @@ def with_current(recording: Recording, added: float) -> Recording:
     )
 
 
-@pytest.mark.parametrize("gap_m", [pytest.param(2e-5, marks=pytest.mark.proof), 1e-4])
+@pytest.mark.proof
+@pytest.mark.parametrize("gap_m", [2e-5, 1e-4])
 def test_a_dead_zone_laid_between_real_channels_comes_back(gap_m: float) -> None:
     """The second encoder is the first one a period later, behind a gap."""
     record = load_source(CAMPAIGNS / "emps.yaml").recordings[0]

@@ -1,6 +1,7 @@
 """Friction feed-forward: what is sent in which cycle, what is refused, what it does to a run."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.machine import SimulatedMachine
+from identification.estimate.paper_method import identify_paper
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Recording
 from rig.cli.entry import status
@@ -24,6 +26,7 @@ from rig.planning.feedforward import (
     require_torque_offset,
     stage_offsets,
 )
+from rig.results.identify.identify import METHODS
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import bench_constants, load_run, read_record
@@ -213,7 +216,8 @@ def test_a_soft_drive_follows_a_slow_ramp() -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_log_recorded_with_it_is_doubted() -> None:
+def test_a_log_recorded_with_it_is_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "paper", partial(identify_paper, generations=2))
     Path("sine.yaml").write_text(
         "sequence: 1\nname: sine\nstages:\n"
         "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], "
@@ -221,7 +225,8 @@ def test_a_log_recorded_with_it_is_doubted() -> None:
     )
     options = ["--yes", "--feedforward", str(result_file()), "--out", "fed"]
     assert status(["run", "sine.yaml", *options]) == 0
-    assert status(["identify", "fed", "--out", "report", "--json", "fed.json"]) == 0
+    found = ["--method", "paper", "--out", "report", "--json", "fed.json"]
+    assert status(["identify", "fed", *found]) == 0
     warnings = json.loads(Path("fed.json").read_text())["warnings"]
     assert any("recorded with feed-forward" in w for w in warnings)
 
