@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -65,19 +65,19 @@ def coverage(seeds: Iterable[int]) -> tuple[dict[str, float], float]:
     return {name: float(np.mean(inside)) for name, inside in held.items()}, float(np.mean(better))
 
 
-def alarms(seeds: Sequence[int]) -> tuple[int, int]:
-    """Return in how many sound fleets a unit is odd, and how many of three wrong units are found;
-    no other is.
+def alarms(seeds: Iterable[int]) -> tuple[int, int, int]:
+    """Return in how many sound fleets a unit is odd; how many of three wrong units are found, and
+    in how many of their fleets another is odd too.
     """
-    found, wrong = [], 0
+    bad, sound, found, others = {"u3", "u8", "u15"}, 0, 0, 0
     for seed in seeds:
         units, _ = drawn(seed)
-        wrong += bool(odd_units(units))
-        bad = {"u3", "u8", "u15"}
         moved = {n: shifted(u, 5.2) if n in bad else u for n, u in units.items()}
-        found.append({o.unit for o in odd_units(moved)})
-        assert len(found[-1] - bad) <= wrong
-    return wrong, sum(map(len, found))
+        odd = {o.unit for o in odd_units(moved)}
+        sound += bool(odd_units(units))
+        found += len(odd & bad)
+        others += bool(odd - bad)
+    return sound, found, others
 
 
 def test_means_spreads_and_values_are_in_their_intervals_as_often_as_stated() -> None:
@@ -87,18 +87,18 @@ def test_means_spreads_and_values_are_in_their_intervals_as_often_as_stated() ->
 
 
 def test_three_wrong_units_are_found_and_sound_fleets_raise_few_alarms() -> None:
-    wrong, found = alarms(range(1000, 1030))
-    assert wrong <= 2
+    sound, found, others = alarms(range(1000, 1030))
+    assert max(sound, others) <= 2
     assert found >= 0.9 * 90
 
 
 @pytest.mark.proof
 def test_a_thousand_fleets() -> None:
     shares, _ = coverage(range(2000, 3000))
-    wrong, found = alarms(range(3000, 4000))
-    print(shares, wrong, found)
     assert all(0.85 <= share <= 0.95 for share in shares.values()), shares
-    assert wrong <= 20, wrong
+    sound, found, others = alarms(range(3000, 4000))
+    print(shares, sound, found, others)
+    assert max(sound, others) <= 20, (sound, others)
     assert found >= 0.9 * 3000, found
 
 
