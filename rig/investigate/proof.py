@@ -89,6 +89,7 @@ class SimulatedInvestigation(Investigation):
     def __init__(self, bench: Located[Bench], folder: Path, state: State) -> None:
         super().__init__(bench, folder, state, self._simulate, lambda _: None, lambda *_: None)
         self._kept: dict[str, tuple[Recording, ...]] = {}
+        self._last: tuple[list[str], Judgement] | None = None
 
     def _simulate(self, sequence: Path, folder: Path) -> None:
         self._kept[folder.name] = self.simulated(str(sequence), len(self._kept), folder.name)
@@ -103,8 +104,10 @@ class SimulatedInvestigation(Investigation):
 
     def judged(self, refine: bool = False) -> Judgement:
         """Diagnose all simulated experiments but the confirming one."""
-        fitted = {e.run for e in self.state.experiments if e.purpose != "confirm"}
-        return self.judged_from([r for n, run in self._kept.items() if n in fitted for r in run])
+        fitted = [e.run for e in self.state.experiments if e.purpose != "confirm"]
+        if self._last is None or self._last[0] != fitted:
+            self._last = fitted, self.judged_from([r for n in fitted for r in self._kept[n]])
+        return self._last[1]
 
     def judged_from(self, recordings: Sequence[Recording]) -> Judgement:
         """Diagnose recordings."""
