@@ -466,19 +466,22 @@ def _form_error(joint: Joint, stack: Stack, effect: Added) -> float:
 
 
 def undetermined_size(joint: Joint, k: int) -> str | None:
-    """Return a text on a size of effect ``k`` whose interval contains the value without the effect
-    (:meth:`~identification.effects.effect.Effect.absent`), or None if there is no such size.
+    """Return a text if the intervals of all sizes of effect ``k`` contain the values without the
+    effect (:meth:`~identification.effects.effect.Effect.absent`), or None. An effect with a part
+    that may be nothing, such as an inertia behind a play, is there by its other sizes.
     """
     effect, sizes = joint.effects[k], estimates(joint, form=False)[k]
     context = Context(joint.views, joint.nominal)
     nothing = effect.term.absent(np.array(effect.coefficients), effect.shape, context)
+    reasons = []
     for name, none in nothing.items():
         low, high = sizes[name].low, sizes[name].high
         # An interval that is not a number determines nothing either.
-        if not (low > none or high < none):
-            without = f"{none:.3g}, its value without the effect" if none else "zero"
-            return f"the 90 % interval of {name}, {low:.3g} to {high:.3g}, contains {without}"
-    return None
+        if low > none or high < none:
+            return None
+        without = f"{none:.3g}, its value without the effect" if none else "zero"
+        reasons.append(f"the 90 % interval of {name}, {low:.3g} to {high:.3g}, contains {without}")
+    return "; ".join(reasons) or None
 
 
 def identifiable(joint: Joint, name: str) -> bool:
