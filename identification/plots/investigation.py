@@ -10,7 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identification.numerics.arrays import Array
-from identification.plots.style import MEASURED, MODEL, ORANGE, ZERO, figure, legend_above, thinned
+from identification.plots.style import (
+    MEASURED,
+    MODEL,
+    ORANGE,
+    ZERO,
+    broken,
+    continuing,
+    figure,
+    legend_above,
+    thinned,
+)
 
 FEW = 6
 """Number of hypotheses that are drawn, the most likely ones of any experiment."""
@@ -54,7 +64,9 @@ def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -
     for column, (name, trace) in enumerate(traces.items()):
         top, bottom = axes[column :: len(traces)]
         few = thinned(len(trace[0]))
-        t, predicted, half, measured = (values[few] for values in trace)
+        t, half = trace[0][few], trace[2][few]
+        follows = continuing(t)
+        predicted, measured = (broken(trace[k][few], follows) for k in (1, 3))
         top.plot(t, measured, label="measured", **MEASURED)
         top.plot(t, predicted, label="predicted before the run", **MODEL)
         top.set_title(name)
