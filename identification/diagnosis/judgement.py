@@ -242,7 +242,9 @@ def _effect(
         for r in taken.rivals
     )
     # What distinguishes effects of the catalogue may not do so for a candidate of one's own.
-    candidates = (entry, *(r.effect.term for r in taken.rivals if r.name in open_names))
+    # A rival that these recordings cannot distinguish was not fitted.
+    rivals = (e.term for r in taken.rivals if r.name in open_names for e in r.joint.effects)
+    candidates = (entry, *(t for t in rivals if t.name in open_names))
     asked = next((e for e in candidates if e.group == "own"), entry)
     return IdentifiedEffect(
         name=taken.name,

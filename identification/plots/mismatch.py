@@ -245,7 +245,9 @@ def sealed(traces: Mapping[str, tuple[Array, Array, Array, Array]], unit: str) -
     for column, (name, trace) in enumerate(traces.items()):
         top, bottom = axes[column :: len(traces)]
         few = thinned(len(trace[0]))
-        t, predicted, half, measured = (values[few] for values in trace)
+        t, half = trace[0][few], trace[2][few]
+        follows = continuing(t)
+        predicted, measured = (broken(trace[k][few], follows) for k in (1, 3))
         top.plot(t, measured, label="measured", **MEASURED)
         top.plot(t, predicted, label="predicted before the run", **MODEL)
         top.set_title(name)

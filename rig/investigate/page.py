@@ -131,7 +131,7 @@ def _sections(
     yield Section("Odds", (_odds(judged),))
     if confirmation is not None:
         unit = judged.found.baseline.unit
-        caption = "Torque predicted before the confirming experiment, and measured in it"
+        caption = "Torque predicted before the confirming experiment, and measured in steady motion"
         picture = Picture.of("sealed", caption, plots.sealed(confirmation.traces, unit))
         digest = Note(f"SHA-256 of the prediction: {state.confirmation['predicted_sha256']}")
         yield Section("Sealed prediction", (Paragraph(_confirmed(confirmation)), digest, picture))

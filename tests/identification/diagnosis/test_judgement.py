@@ -262,6 +262,15 @@ def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
     assert undetermined_size(found, 1) is None
 
 
+def test_a_rival_that_recordings_cannot_distinguish_was_not_fitted_and_is_open() -> None:
+    found = search(RIGHT)
+    alike = Contender("constant_torque", found.final, 0.0, "")
+    (effect,) = effects_of(
+        replace(found, rounds=(Round("asymmetric_coulomb", (alike,)),)), np.random.default_rng(0)
+    )
+    assert effect.alias_group == ("asymmetric_coulomb", "constant_torque")
+
+
 def test_the_error_of_a_form_is_a_share_of_what_the_effect_changes() -> None:
     """An efficiency of 1 is no effect: what is left widens 1 - efficiency, not the efficiency."""
     found = search(Added(TERM["transmission_efficiency"], (), (0.05,))).final
