@@ -243,9 +243,8 @@ def _effect(
     )
     # What distinguishes effects of the catalogue may not do so for a candidate of one's own.
     # A rival that these recordings cannot distinguish was not fitted.
-    rivals = (e.term for r in taken.rivals if r.name in open_names for e in r.joint.effects)
-    candidates = (entry, *(t for t in rivals if t.name in open_names))
-    asked = next((e for e in candidates if e.group == "own"), entry)
+    fitted = (e.term for r in taken.rivals for e in r.joint.effects if e.term.name in open_names)
+    asked = next((term for term in (entry, *fitted) if term.group == "own"), entry)
     return IdentifiedEffect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
