@@ -46,8 +46,8 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     recording. Unfinished excitations of a stopped run are exported only with --partial; their names
     then end in "(partial)".
 
-    The export contains stages, masses, loads and constants as well (for a CSV file in
-    FILE.csv.json), so that a campaign can read an export with `file:` alone.
+    The export contains stages, masses, loads, constants and the channels that are means as well
+    (for a CSV file in FILE.csv.json). A campaign that reads an export states its channels.
 
     The formats candump (a .log file) and asc (Vector) contain the raw CAN frames of a run. An mcap
     file contains these frames as can_msgs/msg/Frame, and the events.

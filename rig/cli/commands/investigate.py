@@ -221,7 +221,8 @@ def _runner(
         progress.close()
         if not bench.value.simulated and not yes:
             click.confirm(f"Run {sequence.name} on {bench.value.name}?", default=True, abort=True)
-        stated = {option.name: None for option in run.params}
+        # An option without a default has None or a sentinel of the library.
+        stated = {o.name: o.default if isinstance(o.default, float) else None for o in run.params}
         flags = {o.name: False for o in run.params if getattr(o, "is_flag", False)}
         own = {"sequence": str(sequence), "bench": str(bench.path), "out": folder, "yes": yes}
         # Each experiment of a simulated bench gets its own noise.

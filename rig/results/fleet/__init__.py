@@ -151,11 +151,8 @@ def _warnings(
             f"the units' own estimates of {', '.join(found.shared)} differ more than their "
             f"uncertainty allows (p = {found.shared_p_value:.2g}); this widens the intervals"
         )
-    if len(results) < LEAST_JUDGED:
-        yield (
-            f"{len(results)} units: a mean and a spread need {LEAST_UNITS}, a judgement of which "
-            f"unit is odd needs {LEAST_JUDGED}"
-        )
+    if len(results) < LEAST_UNITS:
+        yield f"{len(results)} units: a mean and a spread need {LEAST_UNITS}"
     if constants := [c.place for c in uncertain_constants(dataset.part("fit"))]:
         yield (
             f"the uncertainty of {', '.join(constants)} counts as independent in each unit; if the "
@@ -185,6 +182,9 @@ def fleet_document(name: str, found: Found) -> Document:
     """Return the result of all units as a document."""
     odd, count = dict.fromkeys(o.unit for o in found.fleet.odd), f"{len(found.results)} units"
     verdict = Verdict(f"No unit of {count} differs from the others", "", "good")
+    if len(found.results) < LEAST_JUDGED:
+        said = f"it takes {LEAST_JUDGED} units to judge which one differs"
+        verdict = Verdict(f"{count}, not judged", said, "open")
     if odd:
         said = f"{', '.join(odd)}: not like the other units, whose values leave them out"
         verdict = Verdict(f"{len(odd)} of {count} differ from the others", said, "open")

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import click
 import numpy as np
 import pytest
 
@@ -24,6 +25,7 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
+from rig.cli.commands.investigate import _runner
 from rig.cli.entry import BAD_INPUT, STOPPED, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
@@ -43,6 +45,7 @@ from rig.investigate.investigation import (
     load_state,
 )
 from rig.results.run.go_on import NOT_READ_BACK
+from rig.runs.run_file import read_record
 
 Z = np.zeros(3)
 
@@ -380,3 +383,15 @@ def test_verdict_rivals_and_confidence_follow_from_one_level(
     assert ("2.3" in rival.why_not) is (verdict is Verdict.NAMED)
     nothing = dataclasses.replace(diagnosis, verdict=Verdict.NOTHING_MISSING, effects=())
     assert loop.concluded_from(nothing, hypotheses) is nothing
+
+
+def test_an_experiment_is_run_by_the_command_of_a_run(tmp_path):
+    sequence = tmp_path / "short.yaml"
+    stage = (
+        "{name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 3}"
+    )
+    sequence.write_text(f"sequence: 1\nname: short\nstages: [{stage}]\n")
+    silent = SimpleNamespace(close=lambda: None)
+    with click.Context(click.Command("investigate")):
+        _runner(load_bench("practical"), new(), True, None, silent)(sequence, tmp_path / "run")
+    assert read_record(tmp_path / "run").state == "done"
