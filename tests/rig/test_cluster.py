@@ -153,6 +153,26 @@ class Client:
 KEPT = "the scheduler is gone; all finished work is kept"
 
 
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (TimeoutError(), "no worker for 180 s"),
+        (distributed.client.FuturesCancelledError([]), KEPT),
+        (distributed.comm.CommClosedError("closed"), KEPT),
+    ],
+    ids=["no worker", "cancelled", "closed"],
+)
+def test_neither_workers_that_never_come_nor_a_scheduler_that_ends_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
+) -> None:
+    def wait(futures: object, timeout: float, return_when: str) -> None:
+        raise error
+
+    monkeypatch.setattr(cluster.distributed, "wait", wait)
+    with pytest.raises(InputError, match=message):
+        list(cluster.DaskCluster(Client(), "--scheduler x").each(abs, [1]))
+
+
 def test_a_worker_with_other_packages_is_refused() -> None:
     assert cluster._on_worker(abs, cluster._fingerprint(), -2) == 2
     with pytest.raises(

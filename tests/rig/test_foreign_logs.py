@@ -210,7 +210,7 @@ def test_an_angle_that_starts_again_is_asked_for_and_continued(tmp_path, turn, z
     scatter=st.floats(0.0, 5e-4),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=60)
+@settings(max_examples=150)
 def test_any_turn_is_found_at_its_jumps(turn, zero, swing, scatter, seed):
     noise = scatter * np.random.default_rng(seed).standard_normal(len(LONG))
     stored = turning(turn, zero, swing, noise)[:, 2]
@@ -225,7 +225,7 @@ def test_any_turn_is_found_at_its_jumps(turn, zero, swing, scatter, seed):
     seed=st.integers(0, 999),
     kind=st.sampled_from(["moves", "quick", "switches", "glitch", "noise"]),
 )
-@settings(max_examples=60)
+@settings(max_examples=150)
 def test_an_angle_that_does_not_start_again_is_left_alone(seed: int, kind: str) -> None:
     noise = np.random.default_rng(seed)
     angle = {

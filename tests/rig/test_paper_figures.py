@@ -178,6 +178,14 @@ def test_json_follows_the_contract(folder: Path) -> None:
     assert any("C_r" in line for line in record["chosen"])
 
 
+def test_printed_and_simulated_omega_sf_are_both_shown(folder: Path) -> None:
+    entry = json.loads((folder / "paper.json").read_text())["tables"]["paper"]["omega_sf"]
+    assert (entry["true"], entry["printed_true"]) == (0.0557, 0.0577)
+    page = (folder / "paper.html").read_text()
+    assert "0.0557" in page
+    assert "0.0577" in page
+
+
 def test_the_simulated_cases(cases: tuple[Dataset, dict[str, float]]) -> None:
     dataset, truth = cases
     unloaded, loaded = dataset.recordings
