@@ -161,7 +161,12 @@ def weigh(
         best = one.joint if better else best
     hypotheses = []
     for one in fitted:
-        behind = level(best, one.joint) if one.known is None else one.known
+        # What no row decides is known relative to the identified effects.
+        behind = (
+            level(best, one.joint)
+            if one.known is None
+            else one.known + level(best, fitted[0].joint)
+        )
         if not wanted or {*one.names} <= {*wanted}:
             weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
             hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))

@@ -180,12 +180,12 @@ recordings, or because the recordings do not determine its size.
 
 def validated_effects(found: Search, aside: Sequence[View], terms: Sequence[Effect] = ()) -> Search:
     """Return a search with fits within their limits, and without effects that do not reduce the
-    error on unused recordings significantly, or whose size may be that without the effect.
+    error on unused recordings significantly, or all of whose sizes may be those without the effect.
 
     Of the effects that fail the first test, the effect that reduces the error least is dropped
-    first; then an effect is dropped if the interval of its size contains the value without the
-    effect. After each drop all effects are compared again with their rivals and with those that now
-    score best (:func:`_contested_again`). Finally, the errors on recordings set aside decide
+    first; then an effect is dropped if the intervals of all its sizes contain the values without
+    the effect. After each drop all effects are compared again with their rivals and with those that
+    now score best (:func:`_contested_again`). Finally, the errors on recordings set aside decide
     between each remaining effect and its rivals.
     """
     baseline = within_limits(found.baseline)
@@ -229,7 +229,7 @@ def _least_useful(case: _Case, joint: Joint, steps: list[Step]) -> tuple[Added, 
 
 
 def _undetermined(case: _Case, joint: Joint, steps: list[Step]) -> tuple[Added, Joint] | None:
-    """Return the last effect whose size may be that without the effect, and the fit without it."""
+    """Return the last effect all of whose sizes may be those without it, and the fit without it."""
     for k, effect in reversed([*enumerate(joint.effects)]):
         note = undetermined_size(joint, k)
         if note is not None:

@@ -467,8 +467,8 @@ def _form_error(joint: Joint, stack: Stack, effect: Added) -> float:
 
 def undetermined_size(joint: Joint, k: int) -> str | None:
     """Return a text if the intervals of all sizes of effect ``k`` contain the values without the
-    effect (:meth:`~identification.effects.effect.Effect.absent`), or None. An effect with a part
-    that may be nothing, such as an inertia behind a play, is there by its other sizes.
+    effect (:meth:`~identification.effects.effect.Effect.absent`), or None. One size may be
+    zero, such as the inertia behind a gap; the effect is determined if any other size is.
     """
     effect, sizes = joint.effects[k], estimates(joint, form=False)[k]
     context = Context(joint.views, joint.nominal)

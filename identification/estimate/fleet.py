@@ -19,7 +19,7 @@ from identification.numerics.spread import CONFIDENCE, Spread, quantile
 LEVEL = 0.01
 """Probability of an odd unit in a fleet without one, and of differing shared parameters."""
 LEAST_UNITS, LEAST_JUDGED = 3, 5
-"""Least number of units with a mean and a spread, and of those of which one can be odd."""
+"""Least number of units for a mean and a spread, and least number for the test of odd units."""
 _FAR = 3.0  # deviation from the median up to which a unit counts as sound at first
 _MIDDLE = float(special.ndtri(0.75))
 
@@ -147,8 +147,8 @@ def odd_units(units: Mapping[str, Estimates], level: float = LEVEL) -> tuple[Odd
     """Return the parameters of units that differ from the others, the least probable first.
 
     Each estimate, also of a session, is compared with mean and spread of the other units that are
-    not odd, by Student's t; p-values are corrected for the number of comparisons (Holm). Which
-    units are not odd is found from the median and the median deviation outwards.
+    not odd, by Student's t; p-values are corrected for the number of comparisons (Holm). The
+    search for the others begins with the units near the median, in median deviations.
     """
     names = dict.fromkeys(n for u in units.values() for n in u.values)
     known = {n: [k for k, u in units.items() if u.part([n])[0]] for n in names}
@@ -221,7 +221,7 @@ def _against(value: float, variance: float, values: Array, variances: Array) -> 
     between = _between(values, variances, len(values) - 1)
     _, mean, weight = _q(values, variances, between)
     ratio = (value - mean) / math.sqrt(variance + between + 1.0 / weight)
-    # The spread is known less well than a variance of as many equal values if others are less sure.
+    # Unequal uncertainties leave the spread fewer degrees of freedom (Satterthwaite).
     equal = (variance + between) * weight / len(values)
     return ratio, float(2.0 * special.stdtr((len(values) - 1) * equal**2, -abs(ratio)))
 

@@ -136,7 +136,7 @@ def variance_components(
     Args:
         values: Values, shape (n,).
         factors: Level of each value, by factor. A factor of one level is left out.
-        rng: Orders the draws; the draws themselves are quantiles.
+        rng: Permutes the quantiles of chi-squared that serve as draws.
     """
     rows = {name: _indicators(levels) for name, levels in factors.items() if len(set(levels)) > 1}
     # Levels can be nested in those of a later factor; of equal factors the first is not separated.
@@ -253,7 +253,7 @@ LEAST_RUNS = 6
 _LEAST_SIDE = 2  # least number of values before and after a step
 _MOST_STEPS = 40
 """Greatest number of positions at which a step is sought, spread evenly in a longer history."""
-_DRAWS = 100_000
+_NULL_DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
 """Least standard error over the median one, so that one value does not outweigh all others."""
 _TWO_SIDED_90 = 1.6448536269514722
@@ -350,8 +350,8 @@ def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tup
     """Return the sorted statistics of histories without change: of lines and of steps, (draws,)."""
     lines, steps = [], []
     block = max(1, 2_000_000 // count)
-    for done in range(0, _DRAWS, block):
-        draws = rng.standard_normal((min(block, _DRAWS - done), count))
+    for done in range(0, _NULL_DRAWS, block):
+        draws = rng.standard_normal((min(block, _NULL_DRAWS - done), count))
         sizes, scatter = _fitted(draws, unit, mean)
         statistic = np.abs(sizes) / scatter
         lines.append(statistic[:, 0])

@@ -6,18 +6,20 @@ import dataclasses
 import select
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Final, TypeVar
 
 from drivers.clock import NS, Clock, RealClock
 from rig.common.errors import InputError, InUseError
+from rig.common.locks import lock_files
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import Plan
 from rig.terminal.stop_button import StopButton
-from rig.wiring.connect import Attach, connect
+from rig.wiring.connect import Attach, connect, resources
 from rig.wiring.devices import Devices
 
 T = TypeVar("T")
@@ -43,26 +45,38 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
 
 
 def when_free(
-    attempt: Callable[[], T], wait_s: float, say: Callable[[str], None], clock: Clock
+    attempt: Callable[[], T],
+    wait_s: float,
+    say: Callable[[str], None],
+    clock: Clock,
+    files: Iterable[Path] = (),
 ) -> T:
     """Return the result of an attempt to use a bench; repeat the attempt for ``wait_s`` while
     another program uses the bench. Of several programs that wait, any may be the next.
 
+    A program that waits has the lock ``files`` of the bench open, without a lock, so that `rig off`
+    ends it with the others; otherwise it would energise a bench that was just made safe.
+
     Raises:
         InUseError: The bench is still in use.
     """
-    deadline_ns, said = clock.now_ns() + round(wait_s * NS), False
-    while True:
-        try:
-            return attempt()
-        except InUseError as error:
-            now_ns = clock.now_ns()
-            if now_ns >= deadline_ns:
-                raise
-            if not said:
-                say(f"waiting up to {wait_s:g} s: {error}")
-                said = True
-        clock.sleep_until_ns(min(now_ns + _LOOK_NS, deadline_ns))
+    deadline_ns = clock.now_ns() + round(wait_s * NS)
+    with ExitStack() as seen:
+        waits = False
+        while True:
+            try:
+                return attempt()
+            except InUseError as error:
+                now_ns = clock.now_ns()
+                if now_ns >= deadline_ns:
+                    raise
+                if not waits:
+                    waits = True
+                    say(f"waiting up to {wait_s:g} s: {error}")
+                    for file in files:
+                        with suppress(OSError):
+                            seen.enter_context(open(file, "rb"))
+            clock.sleep_until_ns(min(now_ns + _LOOK_NS, deadline_ns))
 
 
 @contextmanager
@@ -85,7 +99,10 @@ def connected(
     with ExitStack() as stack:
         with stop.interruptible():
             opened = partial(connect, document, seed, realtime, attach, torque_offset, purpose)
-            devices = when_free(lambda: stack.enter_context(opened()), wait_s, say, RealClock())
+            files = lock_files(resources(document.value))
+            devices = when_free(
+                lambda: stack.enter_context(opened()), wait_s, say, RealClock(), files
+            )
             if not document.value.simulated:
                 why = stack.enter_context(kept_awake(purpose))
                 devices = dataclasses.replace(devices, awake=why)

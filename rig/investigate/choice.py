@@ -1,5 +1,5 @@
-"""Chooses the next experiment: the parts, simulated under every hypothesis, whose sum lowers the
-bound of the error probability most per minute of the bench.
+"""Chooses the next experiment: the parts, simulated under the likeliest hypotheses, whose sum
+lowers the bound of the error probability most per minute of the bench.
 """
 
 from __future__ import annotations
@@ -84,13 +84,13 @@ class Proposal:
 
 
 class Choice(NamedTuple):
-    """The next experiment, or None if none is worth while, and what no experiment separates: rival
+    """The next experiment, or None if none is worth while, and what no experiment separates: pair
     to the expected preference, standard errors, of all parts together, if it is below
     :data:`WORTH_WHILE`.
     """
 
     proposal: Proposal | None
-    indistinct: Mapping[str, float]
+    indistinct: Mapping[tuple[str, str], float]
 
 
 class _Judged(NamedTuple):
@@ -178,11 +178,11 @@ def propose(
     )
     design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
     names = [h.name for h in design.hypotheses]
-    indistinct: dict[str, float] = {}
+    indistinct: dict[tuple[str, str], float] = {}
     if not cover and len(names) > 1 and design.judged:
         best = design.apart(design.judged)
         lost = {pair: z for pair, z in best.items() if z < WORTH_WHILE}
-        indistinct = {names[b]: z for (a, b), z in lost.items() if a == 0}
+        indistinct = {(names[0], names[b]): z for (a, b), z in lost.items() if a == 0}
         design = replace(design, lost=frozenset(lost))
     open_pairs = cover or len(indistinct) < len(names) - 1
     chosen = _best(design, most_s, progress) if open_pairs and design.judged else []

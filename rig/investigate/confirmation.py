@@ -1,5 +1,5 @@
-"""The confirming experiment: predicted by the corrected model before it runs, compared after, and
-never fitted.
+"""The confirming experiment: predicted by the corrected model before it runs, compared after;
+fitted only if the prediction failed.
 """
 
 from __future__ import annotations

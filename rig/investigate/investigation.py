@@ -76,8 +76,8 @@ class Experiment:
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight was hung or taken off.
         state: ``planned`` before it runs, then the state of the run.
-        purpose: ``given``, ``first``, ``separate``, ``cover``, ``confirm``, or ``refute``: what was
-            to confirm, did not, and is evidence now.
+        purpose: ``given``, ``first``, ``separate``, ``cover``, ``confirm``, or ``refute``: a
+            confirming experiment whose prediction failed; it is diagnosed with the others.
         odds: Probability of each hypothesis after the experiment.
         expected: Pair of hypotheses to the expected preference, standard errors.
         verdict: Verdict of the diagnosis after the experiment.
@@ -371,17 +371,18 @@ class Investigation:
         investigation goes on.
         """
         state = self.state
-        again = sum(e.purpose == "refute" for e in state.experiments) < MOST_REFUTED
+        refuted = sum(e.purpose == "refute" for e in state.experiments)
+        again = refuted < MOST_REFUTED and not state.confirm
         self._say(
-            f"the sealed band held {state.confirmation['band_held']:.0%} only"
-            + (": the recording becomes evidence" if again else "")
+            f"the prediction failed: the band held {state.confirmation['band_held']:.0%} of it"
+            + ("; the diagnosis uses the recording now" if again else "")
         )
-        if again and not state.confirm:
+        if again:
             self._confirming()[-1].purpose = "refute"
             state.ended, state.refuted = "", [*state.refuted, state.confirmation]
             state.confirmation = {}
             state.save(self._folder)
-        return again and not state.confirm
+        return again
 
     @property
     def _prediction(self) -> Path:
@@ -526,8 +527,7 @@ class Investigation:
             cover,
             vain,
         )
-        first = judged.weighed.hypotheses[0].name
-        state.indistinct |= {joined(first, r): z for r, z in chosen.indistinct.items()}
+        state.indistinct |= {joined(*pair): z for pair, z in chosen.indistinct.items()}
         return chosen.proposal
 
     def _cover_is_worth_while(self) -> bool:
@@ -593,7 +593,7 @@ def _why_no_more(judged: Judgement) -> str:
         said = " and ".join(map(spoken, sorted(named)))
         return f"{spoken(first.name)} has the greatest likelihood, but the diagnosis selects {said}"
     rejected = "every rival is rejected, and " if first.names else ""
-    return f"{rejected}experiments that show what the others did not changed nothing"
+    return f"{rejected}the last experiments that covered new motions changed nothing"
 
 
 def _planned(reason: str, seconds: float, changes: int, purpose: str) -> Experiment:

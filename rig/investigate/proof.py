@@ -4,46 +4,51 @@ as long.
 
 from __future__ import annotations
 
-import json
 import math
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
-from scipy import stats
 
 from drivers.mock.plant.parts.constants import Machine
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_json, write_json, write_text
+from rig.common.places import is_file, read_json, write_json
 from rig.common.provenance import Provenance
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document as Located
-from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.investigate.experiments import bench_seconds
-from rig.investigate.investigation import Investigation, Judgement, State, judge_recordings
+from rig.investigate.investigation import (
+    Experiment,
+    Investigation,
+    Judgement,
+    State,
+    judge_recordings,
+)
 from rig.planning.plan import make_plan
 from rig.results.document import Document, Section, Table, provenance_section
 from rig.results.prove.document import shares
-from rig.results.prove.draw import SIZES, Assigned, Kind, assignment, draw
+from rig.results.prove.draw import NEEDS_GRAVITY, SIZES, Assigned, Kind, Rig, assignment, draw
 from rig.results.prove.engine import Engine
 from rig.results.prove.excitation import experiments
 from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
-from rig.results.prove.score import LEVEL, REFUSED, STRONG
+from rig.results.prove.score import REFUSED, STRONG, VERSION, rate
 from rig.results.prove.simulate import campaign, reference_of, strength, truth_of
 from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
 from rig.runs.run_record import Ending
 
 BENCH, FIRST = "practical", "figure10"
 SHARES: Mapping[Kind, float] = {"one": 27.0, "nothing": 4.0, "outside": 3.0}
-ON_A_BENCH = tuple(name for name, sizes in SIZES.items() if "recording" not in sizes)
-"""Effects that are in every run of a bench, not in one recording of a campaign alone."""
+ON_A_BENCH = tuple(
+    n for n, sizes in SIZES.items() if "recording" not in sizes and n not in NEEDS_GRAVITY
+)
+"""Effects in every run of a bench with a lever, not in one recording of a campaign alone."""
 BUDGET_MIN = 40.0
 SCHEMA = "loadrig.prove_investigate/1"
 Said = tuple[str, list[str]]
@@ -81,12 +86,14 @@ class SimulatedInvestigation(Investigation):
     are not refined.
 
     Args:
-        bench: The bench, with the machine that is simulated.
+        bench: The bench as it is believed; nothing of the machine is in it.
         folder: Folder of the state and the sealed predictions.
         state: A new state.
+        machine: The machine that is simulated.
     """
 
-    def __init__(self, bench: Located[Bench], folder: Path, state: State) -> None:
+    def __init__(self, bench: Located[Bench], folder: Path, state: State, machine: Machine) -> None:
+        self._machine = machine
         super().__init__(bench, folder, state, self._simulate, lambda _: None, lambda *_: None)
         self._kept: dict[str, tuple[Recording, ...]] = {}
         self._last: tuple[list[str], Judgement] | None = None
@@ -96,10 +103,8 @@ class SimulatedInvestigation(Investigation):
 
     def simulated(self, sequence: str, number: int, name: str) -> tuple[Recording, ...]:
         """Return the recordings of a sequence on the machine, with noise of its own."""
-        machine = self.bench.document.value.mock
-        assert machine is not None
         plan = make_plan(load_sequence(sequence), self.bench.document)
-        found = self.bench.simulate(plan, machine, self.state.seed + number).recordings
+        found = self.bench.simulate(plan, self._machine, self.state.seed + number).recordings
         return tuple(replace(r, name=f"{name}/{r.name}") for r in found)
 
     def judged(self, refine: bool = False) -> Judgement:
@@ -129,7 +134,7 @@ class SimulatedInvestigation(Investigation):
 
 def begin(out: Path, rigs: int, seed: int) -> Proof:
     """Draw and seal all machines, or continue a proof that was begun with the same settings."""
-    settings = {"rigs": rigs, "seed": seed, "investigate": True}
+    settings = {"rigs": rigs, "seed": seed, "investigate": True, "row_version": VERSION}
     file, sealed = out / PROOF_FILE, []
     begun = seals_begun(file, settings) if is_file(file) else {}
     for n, assigned in enumerate(_assigned(rigs, seed), start=1):
@@ -137,7 +142,7 @@ def begin(out: Path, rigs: int, seed: int) -> Proof:
         if where.name in begun:
             sealed.append(where._replace(digest=begun[where.name]))
         else:
-            truth = truth_of(draw(*assigned, (seed, n)))
+            truth = truth_of(_drawn(assigned, seed, n))
             sealed.append(seal_truth(where, n, truth, repeated_salt(seed, n)))
     (out / ROWS).mkdir(parents=True, exist_ok=True)
     write_json(file, {"settings": settings, "seals": {s.name: s.digest for s in sealed}})
@@ -146,6 +151,10 @@ def begin(out: Path, rigs: int, seed: int) -> Proof:
 
 def _assigned(rigs: int, seed: int) -> list[Assigned]:
     return assignment(rigs, seed, SHARES, ON_A_BENCH)
+
+
+def _drawn(assigned: Assigned, seed: int, number: int) -> Rig:
+    return draw(*assigned, (seed, number))._replace(gravity=False)
 
 
 def work(
@@ -169,21 +178,21 @@ def work(
 def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
     """Investigate one machine, repeat Figure 10 for as long, unseal and score.
 
-    The bench file states what the simulated machine is; the investigation and its designs see its
-    recordings only.
+    The investigation and its designs see the recordings of the machine only.
     """
-    rig = draw(*trial.assigned, (seed, trial.number))._replace(gravity=False)
+    rig = _drawn(trial.assigned, seed, trial.number)
     trial.folder.mkdir(parents=True, exist_ok=True)
-    bench = trial.folder / "bench.yaml"
-    write_text(bench, bench_text(rig.machine))
-    own = diagnosis_seed(seed, trial.number)
-    state = State({"file": str(bench)}, own, BUDGET_MIN, first=FIRST)
-    one = SimulatedInvestigation(load_bench(bench), trial.folder, state)
+    bench, own = load_bench(BENCH), diagnosis_seed(seed, trial.number)
+    state = State({"file": str(bench.path)}, own, BUDGET_MIN, first=FIRST)
+    one = SimulatedInvestigation(bench, trial.folder, state, machine_on(bench.value, rig.machine))
+    trace = ""
     try:
         judged, _ = one.run()
         found = judged.diagnosis.verdict.value, [e.name for e in judged.diagnosis.effects]
     except InputError:
         found = REFUSED, []
+    except Exception:  # noqa: BLE001 - a failure on one machine is a result of the proof
+        found, trace = (REFUSED, []), traceback.format_exc()
     repeated = _repeated(one)
     truth = unseal(trial.truth, trial.digest).record(trial.number)
     strengths = {}
@@ -191,17 +200,14 @@ def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
         plan = experiments(False)
         strengths = strength(campaign(rig, plan), reference_of(rig, plan))
     strongest = max(strengths.values(), default=0.0)
-    return row_of(truth, strongest, state, found, repeated, trial.digest)
+    return row_of(truth, strongest, state, found, repeated, trial.digest, trace)
 
 
-def bench_text(machine: Machine) -> str:
-    """Return the practical bench with another simulated machine, as a file."""
-    plain, values = yaml.safe_load(resolve(BENCH, "benches").read_text()), asdict(machine)
-    mock = plain["mock"]
-    for section in ("motor", "joint", "sensing"):
-        mock[section] = {key: values[section][key] for key in mock[section]}
-    mock |= {key: values[key] for key in ("effects", "temperature_C")}
-    return yaml.safe_dump({**plain, "name": "bench", "mock": json.loads(json.dumps(mock))})
+def machine_on(bench: Bench, drawn: Machine) -> Machine:
+    """Return the simulated machine of a bench with the constants and effects of a drawn one."""
+    assert bench.mock is not None
+    parts = ("motor", "joint", "sensing", "effects", "temperature_C", "warming_K", "warming_s")
+    return replace(bench.mock, **{name: getattr(drawn, name) for name in parts})
 
 
 def _repeated(one: SimulatedInvestigation) -> Said:
@@ -223,21 +229,24 @@ def row_of(
     found: Said,
     repeated: Said,
     digest: str,
+    trace: str = "",
 ) -> dict[str, Any]:
     """Score an investigation against the truth of its machine.
 
     ``strength``: greatest rms change of a channel by the effects over its noise, in the experiments
     of ``rig prove``. ``state`` and ``repeated``: ``right``, ``wrong``, ``open`` or ``missed``, of
     the investigation, and of Figure 10 repeated. ``to_name``: number of experiments and bench
-    minutes after which the verdict was the final one; null unless it is right. ``held``: share of
-    the samples in the sealed band.
+    minutes after which verdict and likeliest hypothesis were the final ones; null unless it is
+    right. ``held``: share of the samples in the sealed band.
     """
     verdict, named = found
     kind, names = truth["kind"], list(truth["effects"])
     scored = state_of(kind, names, verdict, named)
     judged = [e for e in state.experiments if e.purpose != "confirm"]
     minutes = [s / 60.0 for s in accumulate(e.seconds for e in judged)]
-    at = max((k for k, e in enumerate(judged) if e.verdict != verdict), default=-1) + 1
+    said = [(e.verdict, _likeliest(e)) for e in judged]
+    last = (verdict, said[-1][1] if said else "")
+    at = max((k for k, each in enumerate(said) if each != last), default=-1) + 1
     return {
         "rig": truth["rig"],
         "sha256": digest,
@@ -253,7 +262,12 @@ def row_of(
         "minutes": state.bench_seconds / 60.0,
         "held": state.confirmation.get("band_held"),
         "refuted": len(state.refuted),
+        "traceback": trace,
     }
+
+
+def _likeliest(experiment: Experiment) -> str:
+    return max(experiment.odds, key=experiment.odds.__getitem__, default="")
 
 
 def state_of(kind: str, names: Sequence[str], verdict: str, identified: Sequence[str]) -> str:
@@ -266,17 +280,6 @@ def state_of(kind: str, names: Sequence[str], verdict: str, identified: Sequence
     return "missed" if verdict == "nothing_missing" else "open"
 
 
-def wilson(hits: float, of: int) -> dict[str, Any]:
-    """Return a share with its Wilson interval at 95 %."""
-    if not of:
-        return {"n": hits, "of": 0, "share": None, "low": 0.0, "high": 1.0}
-    z, p = float(stats.norm.ppf(0.5 + 0.5 * LEVEL)), hits / of
-    centre, grown = p + z**2 / (2 * of), 1.0 + z**2 / of
-    half = z * math.sqrt(p * (1.0 - p) / of + z**2 / (4 * of**2))
-    low, high = (max(0.0, (centre - half) / grown), min(1.0, (centre + half) / grown))
-    return {"n": hits, "of": of, "share": p, "low": low, "high": high}
-
-
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the rates of a proof, and the median and 90 % quantile of experiments and minutes."""
     kinds = {kind: [r for r in rows if r["kind"] == kind] for kind in ("one", "nothing", "outside")}
@@ -284,18 +287,18 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     held = [r["held"] for r in rows if r["held"] is not None]
 
     def share(of: Sequence[Mapping[str, Any]], state: str, key: str = "state") -> dict[str, Any]:
-        return wilson(sum(r[key] == state for r in of), len(of))
+        return rate(sum(r[key] == state for r in of), len(of))
 
     nothing = kinds["nothing"]
     to_name = [r["to_name"] for r in kinds["one"] if r["to_name"]]
     return {
         **{state: share(strong, state) for state in STATES},
         **{f"{state}_all": share(kinds["one"], state) for state in STATES},
-        "alarms": wilson(sum(r["state"] != "right" for r in nothing), len(nothing)),
+        "alarms": rate(sum(r["state"] != "right" for r in nothing), len(nothing)),
         "outside": share(kinds["outside"], "right"),
         "outside_named": share(kinds["outside"], "wrong"),
         **{f"repeated_{state}": share(strong, state, "repeated") for state in STATES},
-        "held": wilson(round(sum(held), 3), len(held)),
+        "held": rate(round(sum(held), 3), len(held)),
         **{
             key: np.quantile([t[k] for t in to_name], (0.5, 0.9)).tolist() if to_name else None
             for k, key in enumerate(("experiments_to_name", "minutes_to_name"))

@@ -212,6 +212,7 @@ def pytest_runtest_makereport(
     values = getattr(item, "funcargs", {}).values()
     used = [value for value in values if isinstance(value, Run)]
     used = list(dict.fromkeys([*used, *(bench.used if bench else ())]))
+    used = [run for run in used if (run.folder / "run.json").is_file()]
     if call.when == "call":
         item.user_properties += [("loadrig page", str(run.page)) for run in used]
     report = yield

@@ -17,7 +17,7 @@ from drivers.errors import LinkError
 from rig.cli.entry import status
 from rig.common import locks
 from rig.common.errors import InputError, InUseError
-from rig.common.locks import OWNER_FILE, Lock, Resource, hold_bench
+from rig.common.locks import OWNER_FILE, Lock, Resource, hold_bench, lock_files
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
@@ -135,6 +135,27 @@ def test_a_run_waits_for_a_bench_that_is_in_use(tmp_path):
         assert lock.descriptors
     assert clock.now_ns() == 20 * NS
     assert ["`rig jog`" in words for words in said] == [True, True]
+
+
+def test_who_waits_for_a_bench_is_seen_by_rig_off_and_holds_nothing(tmp_path):
+    part, clock = Resource("simulated", "port simulated"), SimulatedClock()
+    files = lock_files([part], tmp_path)
+    opened = []
+
+    def seen(_words: str) -> None:
+        clock.call_at(NS, lambda: opened.append(open_files()))
+
+    def open_files() -> int:
+        folder = Path("/proc/self/fd")
+        return sum(os.path.realpath(f) == os.path.realpath(files[0]) for f in folder.iterdir())
+
+    first = hold_bench("wired", [part], "rig jog", tmp_path)
+    clock.call_at(2 * NS, first.release)
+    with when_free(
+        lambda: hold_bench("wired", [part], "rig run", tmp_path), 9.0, seen, clock, files
+    ):
+        assert opened == [2], "one of the holder, one of the program that waits"
+    assert open_files() == 0
 
 
 def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(tmp_path, monkeypatch):

@@ -46,8 +46,8 @@ def diagnose(
     """Find the physics missing in the model of SOURCE, a run folder or a campaign file.
 
     There are four verdicts, all with exit status 0: one or more identified effects; several effects
-    that these recordings do not distinguish, with a sequence file of an experiment that
-    distinguishes the effects; missing physics outside the catalogue; or nothing missing.
+    that these recordings do not distinguish (`rig design` proposes an experiment that does);
+    missing physics outside the catalogue; or nothing missing.
 
     Recordings with role validate are used in no fit, but an identified effect is kept only if it
     lowers the error on these recordings. Without recordings of this role, parts of the recordings

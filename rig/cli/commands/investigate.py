@@ -31,12 +31,13 @@ FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run 
     "budget_min",
     metavar="MINUTES",
     type=shared.Number(min=0, min_open=True),
-    help="Most minutes of the bench, prompts and weight changes included.",
+    help="Most minutes of the bench for the experiments that the program chooses, prompts and "
+    "weight changes included; the first and the confirming one may exceed it.",
 )
 @click.option(
     "--question",
     metavar='"A, B"',
-    help="Names of effects; only these are weighed against each other, and against nothing.",
+    help="Names of effects; only these, and that nothing is missing, are weighed.",
 )
 @click.option(
     "--confirm",
@@ -69,7 +70,7 @@ def investigate(
 
     The first run is SEQUENCE, a file or packaged name, or the RUNs that exist. After each run all
     recordings are diagnosed together, the hypotheses are weighed, and the experiment that
-    separates them best per minute of the bench is simulated under each hypothesis, within all
+    separates the likeliest ones best per minute of the bench is simulated under these, within all
     limits, and run with the prompts and the safety of `rig run`. The last experiment is predicted
     before it runs, and compared after.
 
@@ -85,7 +86,7 @@ def investigate(
     # Imported late: --help must not wait for the numerics.
     from drivers.errors import DeviceError
     from rig.cli.crash import note_drive
-    from rig.common.errors import InputError
+    from rig.common.errors import InputError, InUseError
     from rig.common.locks import hold_folder
     from rig.common.places import require_folder
     from rig.common.provenance import sha256_file
@@ -124,7 +125,7 @@ def investigate(
             runner = _runner(bench_file, state, yes, operator_name, progress)
             investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
             judged, confirmation = investigation.run()
-    except (KeyboardInterrupt, click.Abort, DeviceError) as stop:
+    except (KeyboardInterrupt, click.Abort, DeviceError, InUseError) as stop:
         state.save(folder)
         given = ["--bench", bench, "--out", str(folder), *["--yes"] * yes]
         again = shlex.join(["rig", "investigate", "--resume", *given])
@@ -221,15 +222,15 @@ def _runner(
         progress.close()
         if not bench.value.simulated and not yes:
             click.confirm(f"Run {sequence.name} on {bench.value.name}?", default=True, abort=True)
-        # An option without a default has None or a sentinel of the library.
-        stated = {o.name: o.default if isinstance(o.default, float) else None for o in run.params}
-        flags = {o.name: False for o in run.params if getattr(o, "is_flag", False)}
-        own = {"sequence": str(sequence), "bench": str(bench.path), "out": folder, "yes": yes}
         # Each experiment of a simulated bench gets its own noise.
-        seed = state.seed + len(state.experiments)
-        assert run.callback is not None
-        status = run.callback(
-            **stated | flags | own | {"seed": seed, "operator_name": operator, "first_pass": None}
+        status = click.get_current_context().invoke(
+            run,
+            sequence=str(sequence),
+            bench=str(bench.path),
+            out=folder,
+            yes=yes,
+            seed=state.seed + len(state.experiments),
+            operator_name=operator,
         )
         if status == STOPPED:
             raise KeyboardInterrupt
@@ -325,7 +326,10 @@ def design(
         "experiment": None,
     }
     if found is None:
-        click.echo("no experiment within the limits and weights of this bench separates the rest")
+        click.echo(
+            "no experiment within the limits and weights of this bench separates hypotheses or "
+            "covers new motions"
+        )
     else:
         value = found.sequence.value
         record["experiment"] = {

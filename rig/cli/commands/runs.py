@@ -235,7 +235,7 @@ def trend(
 @_filters
 @_last
 @shared.acceptance("those of the last run")
-@shared.seed("Seed of the order of the draws for the intervals.")
+@shared.seed("Seed of the random draws for the intervals.")
 @shared.out_folder("Also write a page into this folder.")
 @shared.result_file
 def study(

@@ -64,7 +64,7 @@ def studies(
     Args:
         entries: Runs whose folders are paths.
         limits_of_run: Returns the acceptance limits for a run; those of the last run are used.
-        seed: Seed of the order of the draws for the intervals.
+        seed: Seed of the random draws for the intervals.
     """
     groups, left_out = identified_runs(Path(), entries)
     made = []
@@ -146,7 +146,7 @@ def _section(study: Study) -> Section:
     notes = (
         Note(
             f"the runs do not separate the scatter by {factor}: let each operator run the unit "
-            "more than once on each day",
+            "on several days, more than once a day",
             "aside",
         )
         for factor in merged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -74,7 +75,7 @@ def identify_fleet(
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    dataset = load_source(source, units=True)
+    dataset = load_source(source, partial=request.partial, units=True)
     stamps = [instant(r.start) for r in campaign.recordings if isinstance(r.start, str)]
 
     def identified(recordings: Sequence[Recording]) -> Identification:
@@ -124,7 +125,12 @@ def _of(dataset: Dataset, unit: str) -> list[Recording]:
 
 def _estimates(found: Identification) -> Estimates:
     """Return what is determined; a value at its bound has no such distribution."""
-    free = {n: v for n, v in found.values.items() if not found.parameters[n].at_bound}
+    free = {
+        name: value
+        for name, value in found.values.items()
+        if not found.parameters[name].at_bound
+        and (name not in found.covariance.names or math.isfinite(found.covariance.half_width(name)))
+    }
     return Estimates(free, found.covariance.only(free))
 
 
@@ -181,12 +187,12 @@ def unit_records(found: Found) -> Iterator[tuple[str, dict[str, Any]]]:
 def fleet_document(name: str, found: Found) -> Document:
     """Return the result of all units as a document."""
     odd, count = dict.fromkeys(o.unit for o in found.fleet.odd), f"{len(found.results)} units"
-    verdict = Verdict(f"No unit of {count} differs from the others", "", "good")
+    verdict = Verdict(f"None of {count} differs from the others", "", "good")
     if len(found.results) < LEAST_JUDGED:
         said = f"it takes {LEAST_JUDGED} units to judge which one differs"
         verdict = Verdict(f"{count}, not judged", said, "open")
     if odd:
-        said = f"{', '.join(odd)}: not like the other units, whose values leave them out"
+        said = f"{', '.join(odd)}: left out of means, spreads and shared values"
         verdict = Verdict(f"{len(odd)} of {count} differ from the others", said, "open")
     tables = [t for t in (_odd_table(found), _means_table(found)) if t.rows]
     head = Section("", (verdict, *tables, *(Note(w, "warning") for w in found.warnings)))

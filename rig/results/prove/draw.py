@@ -158,7 +158,7 @@ NOISE_SPREAD = (0.5, 1.5)
 SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "outside": 40.0}
 """Trials of each kind in a full proof; others have the same proportions."""
 
-_NEEDS_GRAVITY = frozenset({"load_dependent_friction", "gear_friction"})
+NEEDS_GRAVITY = frozenset({"load_dependent_friction", "gear_friction"})
 _NEEDS_LEVER = frozenset(
     {
         "load_exponent",
@@ -217,7 +217,7 @@ def _pair(names: list[str], rng: np.random.Generator) -> tuple[str, str]:
     """Return two effects that one bench can have."""
     while True:
         first, second = (names[k] for k in rng.choice(len(names), 2, replace=False))
-        if not ({first, second} & _NEEDS_GRAVITY and {first, second} & _NEEDS_LEVER):
+        if not ({first, second} & NEEDS_GRAVITY and {first, second} & _NEEDS_LEVER):
             return first, second
 
 
@@ -264,7 +264,7 @@ def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
     )
     pauses = tuple(float(value) for value in rng.uniform(15.0, 90.0, len(experiments())))
     seed_of_noise = int(rng.integers(1 << 62))
-    gravity = bool(_NEEDS_GRAVITY & set(names)) or (
+    gravity = bool(NEEDS_GRAVITY & set(names)) or (
         not _NEEDS_LEVER & set(names) and float(rng.uniform()) < _GRAVITY_SHARE
     )
     return Rig(kind, machine, pauses, seed_of_noise, gravity)

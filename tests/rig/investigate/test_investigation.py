@@ -109,7 +109,7 @@ class World:
         *_, name, _left_s, avoided, cover, _given_up = arguments
         self.avoided.append(avoided)
         if self.indistinct and not cover:
-            return Choice(None, {"torque_ripple": 0.2})
+            return Choice(None, {("cogging", "torque_ripple"): 0.2})
         parts = family(load_bench("practical").value, np.random.default_rng(0))[:1]
         proposal = SimpleNamespace(
             purpose="cover" if cover else "separate",

@@ -19,6 +19,7 @@ from rig.investigate.proof import SimulatedInvestigation
 from rig.results.document import text
 from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
 from rig.results.prove.engine import Processes
+from rig.results.prove.score import rate
 
 
 def quiet(*_: Any) -> None:
@@ -26,16 +27,15 @@ def quiet(*_: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [*proof.ON_A_BENCH[:3], *list(OUTSIDE_SIZES)[:2]])
-def test_a_drawn_machine_is_a_bench_whose_file_hides_its_effects_in_the_simulation(
-    name: str, tmp_path: Path
-) -> None:
-    machine = draw("one", [name], (1, 2)).machine
-    file = tmp_path / "bench.yaml"
-    file.write_text(proof.bench_text(machine))
-    mock = load_bench(file).value.mock
-    assert mock is not None
-    assert mock.effects.keys() == {name}
-    assert mock.joint.Mc_N_m == machine.joint.Mc_N_m
+def test_a_drawn_machine_is_simulated_and_nothing_of_it_is_in_the_bench(name, tmp_path):
+    drawn = draw("one", [name], (1, 2)).machine
+    bench = load_bench("practical")
+    machine = proof.machine_on(bench.value, drawn)
+    one = SimulatedInvestigation(bench, tmp_path, State({}, 0), machine)
+    assert machine.effects.keys() == {name}
+    assert machine.joint.Mc_N_m == drawn.joint.Mc_N_m != bench.value.mock.joint.Mc_N_m
+    assert machine.warming_K == drawn.warming_K
+    assert one.bench.document.value.mock.effects == {}
 
 
 def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_again(
@@ -65,7 +65,7 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     assert proof.work(proof.begin(tmp_path, 2, 4), Processes(1), quiet) == rows
     assert ran == []
     found = proof.figures(rows)
-    assert found["missed"] == found["missed_all"] == proof.wilson(2, 2)
+    assert found["missed"] == found["missed_all"] == rate(2, 2)
     assert found["alarms"]["of"] == found["outside"]["of"] == 0
     assert read_json(tmp_path / "rows" / "rig-0001.json") == rows[0]
     provenance = Provenance.of(4, (), 0.0, tmp_path / "proof.json")
@@ -101,14 +101,11 @@ def test_the_name_costs_what_was_spent_until_the_verdict_did_not_change_any_more
     truth = {"rig": 1, "kind": "one", "effects": {"backlash": {}}}
     row = proof.row_of(truth, 9.0, state, ("named", ["backlash"]), ("named", ["cogging"]), "")
     assert row["to_name"] == [4, 4.0]
+    for experiment, likeliest in zip(state.experiments, "babba", strict=True):
+        experiment.odds = {"a": 0.4, "b": 0.3} | {likeliest: 0.6}
+    row = proof.row_of(truth, 9.0, state, ("named", ["backlash"]), ("named", ["cogging"]), "")
+    assert row["to_name"] == [5, 5.0], "named before, but not this effect"
     assert row["repeated"] == "wrong"
-
-
-def test_wilson() -> None:
-    found = proof.wilson(8, 10)
-    assert found["low"] == pytest.approx(0.4902, abs=1e-4)
-    assert found["high"] == pytest.approx(0.9433, abs=1e-4)
-    assert proof.wilson(0, 10)["low"] == 0.0
 
 
 def test_what_contradicts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
