@@ -11,7 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.estimate.covariance import replicate_information
+from identification.estimate.covariance import (
+    covariances,
+    replicate_information,
+    rise_to_static,
+)
 from identification.estimate.inertia import Replicate, inflation_by, instruments
 from identification.filter.likelihood import (
     HUBER_THRESHOLD,
@@ -30,14 +34,14 @@ from identification.model.parameters import (
 )
 from identification.numerics.arrays import Array
 from identification.numerics.least_squares import huber_weight
-from identification.numerics.spread import CONFIDENCE
+from identification.numerics.spread import CONFIDENCE, Spread
 from identification.recording import Bench, Model, Recording
 from identification.result import DEFAULT
 from identification.simulation.drive_loop import Loop, Response, respond, usual_loop
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Ratios of the velocity gain to the nominal gain, of two more drives on which a proposal must be
+"""Ratios of the velocity gain to the nominal gain, of two more drives on which a plan must be
 identifiable: if the drive loop is assumed, and if it is known from recordings.
 """
 
@@ -97,7 +101,7 @@ class PlannedModel:
 def with_drives(nominal: PlannedModel) -> tuple[PlannedModel, ...]:
     """Return copies of the model with the nominal drive, a softer drive and a stiffer drive.
 
-    A proposal must be identifiable with all three drives.
+    A plan must be identifiable with all three drives.
     """
     beside = ASSUMED if nominal.loop is None else SEEN
     return tuple(
@@ -437,3 +441,41 @@ def intervals_of(informations: Sequence[Information], loaded: bool) -> Intervals
         if not np.any(np.abs(vectors[k, ~clear]) > 1e-6):
             widths[names[place]] = quantile * math.sqrt(bread[k, k])
     return Intervals(widths)
+
+
+def expected(
+    stages: Sequence[PlannedStage], nominals: Sequence[PlannedModel]
+) -> tuple[Intervals, float]:
+    """Return the relative half widths that the joint fit would state at the simulated values, and
+    the steepness of the likelihood there.
+
+    The steepness is stated relative to its value with noise alone, and is at least 1; the fit would
+    end about so many standard deviations from the simulated values. Half widths and steepness are
+    medians over the runs, and infinite if the filter diverges in one run.
+
+    Args:
+        stages: The design.
+        nominals: Model of each run, three at least; each run has its own noise.
+    """
+    names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
+    nothing = Intervals(dict.fromkeys(names, math.inf)), math.inf
+    runs = []
+    for number, nominal in enumerate(nominals):
+        run = at_the_truth(stages, nominal, names, number)
+        if run is None:
+            return nothing
+        runs.append(run)
+    turn = rise_to_static(names)
+    found = []
+    for run in runs:
+        try:
+            achieved = covariances(
+                run.point, [other for other in runs if other is not run]
+            ).achieved
+        except np.linalg.LinAlgError:
+            return nothing
+        spread = Spread(names, turn @ achieved @ turn.T, math.inf)
+        found.append([spread.half_width(n) / nominals[0].values[n] for n in names])
+    widths = np.where(np.all(np.isfinite(found), axis=0), np.median(found, axis=0), np.inf)
+    slopes = [math.sqrt(max(likelihood_slope(run.point), 1.0)) for run in runs]
+    return Intervals(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))

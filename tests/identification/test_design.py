@@ -1,16 +1,11 @@
-"""What a planned experiment pins, and the search for a better one."""
+"""What a planned experiment determines, and the shares of excitations."""
 
-import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from identification.design import propose as proposing
-from identification.design import search
-from identification.design.propose import attained, expected, propose
-from identification.design.search import Bounds, Draws, Excitation, Frame, Part, Ramps, best_shares
+from identification.design.search import Excitation, best_shares
 from identification.design.simulated import (
     NAMES,
     NOTHING,
@@ -18,13 +13,15 @@ from identification.design.simulated import (
     PlannedModel,
     PlannedStage,
     Sensors,
+    expected,
     intervals_of,
+    recorded,
     stage_information,
-    stage_response,
     with_drives,
 )
+from identification.estimate.default import identify
 from identification.model.parameters import NOMINAL
-from identification.recording import Array
+from identification.recording import Array, Dataset
 from identification.simulation.drive_loop import respond, usual_loop
 
 from .synthetic import BENCH, friction
@@ -32,9 +29,6 @@ from .synthetic import BENCH, friction
 PERIOD = 1e-3
 NOISE = 0.06
 MOMENT = 10.0 * 30.6 * 9.80665 * 0.095
-
-
-BOUNDS = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
 
 
 def nominal(noise: float = NOISE, step: float = 2.0 * np.pi / 409600.0) -> PlannedModel:
@@ -107,15 +101,6 @@ def test_one_breakaway_says_nothing() -> None:
     assert all(math.isinf(w) for w in intervals_of([NOTHING], loaded=False).half_widths.values())
 
 
-def test_a_simulated_trial_repeats_and_is_infinite_without_motion() -> None:
-    stages = [figure10(0.0, 10.0)]
-    one, two = (attained(stages, nominal(), np.random.default_rng(3)) for _ in range(2))
-    assert one == two
-    assert 0.0 < one.worst < 0.2
-    still = attained([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
-    assert math.isinf(still.worst)
-
-
 def rates(*diagonals: tuple[float, ...]) -> list[Information]:
     found = []
     for diagonal in diagonals:
@@ -137,85 +122,6 @@ def test_shares_are_those_of_neyman() -> None:
         assert share == pytest.approx([held, 1.0 - held], rel=1e-2)
 
 
-SINES = (
-    (0.35, 0.4),
-    (0.3, 0.6),
-    (0.18, 1.0),
-    (0.09, 2.0),
-    (0.05, 3.5),
-    (0.1, 0.5),
-    (0.02, 1.0),
-    (0.45, 0.3),
-    (0.1, 3.0),
-)
-RAMPS = ((0.06, 1.0), (0.08, 0.5), (0.15, 0.3))
-DRAWN = [Excitation((sine,), 0.0, 0.0) for sine in SINES] + [
-    Excitation((), 0.0, 0.0, Ramps(*r)) for r in RAMPS
-]
-"""Such as are drawn; the last two sines break the limits on angle and speed of the tests below."""
-
-
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = itertools.cycle(DRAWN)
-    monkeypatch.setattr(Draws, "random", lambda *_: Part(0, next(drawn).lasting(5.0)))
-    for module, name, value in (
-        (proposing, "CANDIDATES", (len(DRAWN), 0)),
-        (proposing, "REFINEMENTS", 2),
-        (proposing, "TOGETHER", 1),
-        (proposing, "NOISES", 1),
-        (search, "_ROUNDS", 50),
-        (search, "DESIGNS", 1),
-    ):
-        monkeypatch.setattr(module, name, value)
-
-
-def frames(weights: tuple[float, ...]) -> list[Frame]:
-    def render(e: Excitation) -> Array:
-        if e.ramps:
-            time = PERIOD * np.arange(round(e.seconds / PERIOD)) % e.step
-            return np.asarray(e.ramps.speed * np.minimum(time, e.step - time))
-        return np.asarray(sum(command(math.degrees(a), f, e.seconds) for a, f in e.tones))
-
-    return [
-        Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w, 12.0), 12.0, 0.0, render)
-        for w in weights
-    ]
-
-
-@pytest.mark.proof
-@pytest.mark.usefixtures("few")
-def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch):
-    stages = frames((0.0,))
-    found = propose(stages, nominal(), BOUNDS, np.random.default_rng(1), weakest="J")
-    assert found.stages != (Part(0, stages[0].present),)
-    assert found.proposed.half_widths["J"] < 0.6 * found.present.half_widths["J"]
-    assert found.judged > 5
-    assert 9.0 < sum(p.excitation.seconds for p in found.stages) <= 12.0
-    for part in found.stages:
-        angles = stages[0].render(part.excitation)
-        out = stage_response(PlannedStage(angles, part.excitation.weight), nominal())
-        assert np.max(np.abs(angles)) < 0.5
-        assert out.peak_speed < 1.5
-        assert out.peak_torque < 60.0
-    monkeypatch.setattr(
-        proposing, "attained", lambda *_: found.proposed
-    )  # takes most of the time, and repeats
-    again = propose(stages, nominal(), BOUNDS, np.random.default_rng(1), weakest="J")
-    assert again.stages == found.stages
-
-
-@pytest.mark.usefixtures("few")
-def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> None:
-    stages = frames((0.0,))
-    bounds = replace(BOUNDS, torque=5.0)  # less than the static limit
-    # A parameter of the load cannot be the target without load.
-    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sL")
-    assert found.stages == (Part(0, stages[0].present),)
-    assert found.proposed == found.present
-    assert found.weakest == found.present.weakest
-
-
 def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
     sine = Excitation(((0.1, 0.35),), 5.0, 0.0)
     lasting = sine.lasting(10.2)
@@ -230,12 +136,13 @@ def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must
 @pytest.mark.proof
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
-    (there, steepness), whole = (
-        expected(stages, [nominal()] * 3),
-        attained(stages, nominal(), np.random.default_rng(2)),
-    )
+    there, steepness = expected(stages, [nominal()] * 3)
+    rng = np.random.default_rng(2)
+    made = tuple(recorded(k, s, nominal(), rng) for k, s in enumerate(stages))
+    whole = identify(Dataset(made), rng=rng)
     assert 1.0 <= steepness < 2.0
-    for name, width in whole.half_widths.items():
+    for name, (low, high) in whole.intervals.items():
+        width = 0.5 * (high - low) / whole.values[name]
         assert there.half_widths[name] == pytest.approx(width, rel=0.6)
     still, _ = expected([PlannedStage(np.zeros(4000), 0.0)], [nominal()] * 3)
     assert math.isinf(still.worst)
