@@ -513,7 +513,7 @@ def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Da
     recordings = tuple(on_session_clock(files, document))
     others = dict.fromkeys(document.other_files())
     for section in campaign.recordings:
-        others |= dict.fromkeys(section.read.beside(document.path.parent).other_files)
+        others |= dict.fromkeys(map(Path, section.read.beside(document.path.parent).dbc_files))
     tables = {str(file): sha256_file(file) for file in others}
     return Dataset(recordings, campaign.model.model(), tables)
 
