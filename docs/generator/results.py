@@ -114,10 +114,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.study:study_record",
         "rig.results.catalogue.study:_about",
     ),
-    "rig runs verify --json": (
-        "rig.results.catalogue.listing:verification_record",
-        "rig.results.catalogue.listing:_run_record",
-    ),
     "rig runs accept: acceptance.json": ("rig.results.acceptance.certificate:acceptance_record",),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
