@@ -51,6 +51,7 @@ def write_run(folder: Path, day: int, shares: dict[str, float], bench: str) -> N
             "gear_ratio": 100.0,
             "moment_arm": 0.1,
             "lever_ratio": 10.0,
+            "supply_voltage": 60.0,
             "gravity": 9.81,
             "gas_generator": None,
         },
