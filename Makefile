@@ -147,9 +147,7 @@ console: $(VENV)/.dev  ## from STOP on the page to the drive read back off, and 
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --wire slcan --wire socketcand --wire dbc --wire serial
-	$(BIN)/python benchmarks/console.py latency --presses 100 --realtime --making
 	$(BIN)/python benchmarks/console.py lateness
-	$(BIN)/python benchmarks/console.py lateness --making
 
 fuzz: $(VENV)/.dev  ## a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format
 	$(BIN)/python -m tests.long.fuzz

@@ -31,7 +31,7 @@ from rig.common.errors import InputError
 from rig.console.followed import Followed, Reached
 from rig.console.gate import BURST, MOST_GREETING, QUEUE, Gate, Token, bounded
 from rig.console.hub import Hub, Page, Refusal
-from rig.console.recorded import Made, Recorded
+from rig.console.recorded import Recorded
 from rig.console.starting import Starter, StartError, Wish
 from rig.results.run.report import STATIC as SHARED
 from rig.terminal.control_socket import Command
@@ -206,7 +206,6 @@ class Console:
             if path.suffix in _KINDS
         }
         recorded = Recorded(hub.starter.runs)
-        self._made = Made(recorded, hub.starter.command)
         self.app = Starlette(
             routes=[
                 Route("/", self._index, methods=["GET"]),
@@ -218,10 +217,7 @@ class Console:
                 Route("/start", self._posted(self._start), methods=["POST"]),
                 Route("/resume", self._posted(self._resume), methods=["POST"]),
                 WebSocketRoute("/live", self._live),
-                Route("/compare", self._posted(self._compare), methods=["POST"]),
-                Route("/trend", self._posted(self._trend), methods=["POST"]),
                 *recorded.routes,
-                *self._made.routes,
             ],
             middleware=[Middleware(Gate, hosts=hosts)],
             lifespan=self._lifespan,
@@ -386,14 +382,6 @@ class Console:
         assert page is not None
         self._hub.follow_up(page, run.folder)
         return {"words": "Started again: the run continues at its first unfinished stage"}
-
-    async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        _in_contact(page)
-        return await self._made.compare(message)
-
-    async def _trend(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        _in_contact(page)
-        return await self._made.trend(message)
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder
