@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from rig.console.app import Console
+from rig.console.app import SHOWN, Console
 from rig.console.gate import HEADERS, SANDBOX, Token
 from rig.console.hub import Hub
-from rig.console.recorded import SHOWN
 from rig.console.starting import Starter
 from rig.results.run.report import inlined_script
 
