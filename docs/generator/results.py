@@ -70,7 +70,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
-        "rig.results.identify.simulate:_case_record",
         "rig.results.identify.simulate:_sums_record",
         "rig.results.identify.simulate:_record_errors",
     ),

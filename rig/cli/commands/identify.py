@@ -222,20 +222,18 @@ def _plan(
 @click.argument("source", type=shared.PATH)
 @click.option(
     "--result",
-    "results",
     metavar="FILE",
-    multiple=True,
     required=True,
     type=shared.FILE,
-    help="Result file of rig identify or rig diagnose; may be given more than once.",
+    help="Result file of rig identify or rig diagnose.",
 )
 @shared.own_effects
-@shared.bandwidth("Bandwidth of the errors. [default: that of the first result]")
+@shared.bandwidth("Bandwidth of the errors. [default: that of the result]")
 @shared.out_folder("Folder for report and figures. [default: ./SOURCE-simulated]")
 @shared.result_file
 def simulate(
     source: Path,
-    results: tuple[Path, ...],
+    result: Path,
     effects_file: Path | None,
     bandwidth: float | None,
     out: Path | None,
@@ -246,10 +244,9 @@ def simulate(
 
     The model predicts torque, voltage and the difference of the encoders from the motion, with and
     without the effects of a diagnosis. If the campaign declares a controller, the closed loop is
-    also simulated, from its command alone; the errors of this simulation are listed beside those of
-    simulations with half of the friction and without friction. A 90 % band of the torque is stated
-    with the share of the samples that it holds, and recordings that leave the angles, speeds and
-    loads of the fit. The model as a simulated bench is written next to the report.
+    also simulated, from its command alone. A 90 % band of the torque is stated with the share of
+    the samples that it holds, and recordings that leave the angles, speeds and loads of the fit.
+    The model as a simulated bench is written next to the report.
 
     \b
     Example:
@@ -273,7 +270,7 @@ def simulate(
     require_folder(folder, "--out")
     with ShareBar() as bar:
         own = read_effects(effects_file)
-        found = simulate_source(source, results, bandwidth, bar, own)
+        found = simulate_source(source, result, bandwidth, bar, own)
         bar("writing the report", 1.0)
         write_record(simulation_record(found), folder / RESULT_FILE, json_file)
         bench, said = as_bench(source, found, own)
