@@ -543,8 +543,6 @@ class RecordingSection(Schema):
             state it, or none.
         start: Start time of the file: an ISO time, or seconds since the machine was switched on
             cold. Either all recordings state a start time, or no recording does.
-        order: Position of the file in the session, instead of `start`, if only the order is known;
-            the pauses between files then count as zero.
         window: The part of the file that is used.
         controller: The position loop during the recording, for simulations.
         role: `validate` excludes the recording from every fit; at the end the recording is scored,
@@ -564,7 +562,6 @@ class RecordingSection(Schema):
     constant_torque: KnownNumber = 0.0
     unit: Annotated[str, Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
-    order: int | None = None
     window: WindowSection | None = None
     controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"
