@@ -74,13 +74,14 @@ class Proposal:
     """The next experiment.
 
     Attributes:
-        purpose: ``separate`` hypotheses, or ``cover`` what no recording has shown.
+        purpose: ``separate`` hypotheses, ``cover`` what no recording has shown, or ``repeat``.
         sequence: The sequence.
         reason: One sentence with numbers.
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight is hung or taken off.
         apart: Pair of hypotheses to the expected preference, standard errors.
         refused: Part to the limit that a hypothesis would come too near to.
+        repeats: Run that is repeated, or empty.
     """
 
     purpose: str
@@ -90,6 +91,7 @@ class Proposal:
     weight_changes: int
     apart: Mapping[tuple[str, str], float]
     refused: Mapping[str, str]
+    repeats: str = ""
 
 
 class Choice(NamedTuple):
