@@ -192,7 +192,25 @@ def level(best: Joint, joint: Joint) -> float:
     is at most what :func:`separations` expects of fits whose squares differ by as much.
     """
     most = 0.5 * math.sqrt(abs(joint.cost - best.cost))
-    return max(-most, min(preference(best, joint), most)) + 0.0
+    better, worse = (best, joint) if best.cost <= joint.cost else (joint, best)
+    gap = preference(better, worse)
+    if gap > 0.0 and float(np.mean(better.residual**2)) <= RULES.tested_from:
+        gap = preference(better, worse, _noise_of_difference(better, worse))
+    return max(-most, min(gap if better is best else -gap, most)) + 0.0
+
+
+def _noise_of_difference(better: Joint, worse: Joint) -> float:
+    """Return the standard error of the difference of squares of two fits, the better of which
+    leaves noise alone.
+
+    What is random is the noise, not where an experiment shows the difference of the predictions:
+    the scatter of the difference over blocks would be large where few blocks show all of it. The
+    correlation of the noise within a block is that of what the better fit leaves.
+    """
+    apart = worse.residual - better.residual
+    within = 2.0 * better.stack.sums((apart * better.residual)[:, None])[:, 0]
+    rms = max(1.0, math.sqrt(float(np.mean(better.residual**2))))
+    return max(float(np.linalg.norm(within)), 2.0 * rms * float(np.linalg.norm(apart)))
 
 
 class _Fitted(NamedTuple):

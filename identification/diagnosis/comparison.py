@@ -73,16 +73,20 @@ class Round:
     unconfirmed: bool = False
 
 
-def preference(chosen: Joint, rival: Joint) -> float:
-    """Return the preference of the data for ``chosen``, in standard errors of the difference by
-    blocks.
+def preference(chosen: Joint, rival: Joint, spread: float | None = None) -> float:
+    """Return the preference of the data for ``chosen``, in standard errors of the difference: in
+    ``spread``, or if it is None by blocks.
 
     A fit with more parameters explains more in any case, and the difference of two nearly equal
     fits has a small standard error. Therefore the preference is computed without and with Schwarz's
     correction for the number of parameters, and the result is the value of smaller magnitude; 0 if
     the two values have opposite signs.
     """
-    plain, corrected = advantage(chosen, rival), _corrected_advantage(chosen, rival)
+    loss, by_blocks = _loss(chosen, rival)
+    spread = by_blocks if spread is None else spread
+    if spread <= 0.0:
+        return 0.0
+    plain, corrected = loss / spread, (loss + _penalty(chosen, rival)) / spread
     if plain * corrected <= 0.0:
         return 0.0
     return min(plain, corrected, key=abs)
@@ -100,9 +104,13 @@ def advantage(chosen: Joint, rival: Joint) -> float:
 def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
     """Return :func:`advantage` with Schwarz's correction, log n squares a further parameter."""
     loss, spread = _loss(chosen, rival)
+    return (loss + _penalty(chosen, rival)) / spread if spread > 0.0 else 0.0
+
+
+def _penalty(chosen: Joint, rival: Joint) -> float:
+    """Return Schwarz's correction: log n squares for each further parameter of the rival."""
     more = _effect_parameters(rival) - _effect_parameters(chosen)
-    loss += more * math.log(len(chosen.residual))
-    return loss / spread if spread > 0.0 else 0.0
+    return more * math.log(len(chosen.residual))
 
 
 def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:

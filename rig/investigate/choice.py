@@ -5,10 +5,11 @@ lowers the bound of the error probability most per minute of the bench.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from typing import NamedTuple
 
@@ -32,7 +33,9 @@ from identification.design.separation import (
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Separation, title
 from identification.recording import RecordingError
+from identification.views.view import LEAST_REST_S, View
 from rig.common.errors import InputError
+from rig.config.bench import LimitsSection
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence as Stages
 from rig.investigate.experiments import (
@@ -57,6 +60,12 @@ MOST_VISIBLE, TINY = math.log(100.0), 1e-30
 """Greatest worth of the visibility of one effect that the recordings so far hardly show; least
 visibility.
 """
+TRAVEL_REGIONS, SLOWEST, VISIT_S = 16, 2.0**-8, 0.05
+"""Number of regions of the permitted travel, least speed of a region over the speed limit, and
+least time in a region, s.
+"""
+Region = tuple[str, int | None, float, float]
+"""Coordinate, load, direction, and place of a range that a recording visits."""
 Progress = Callable[[str, float], None]
 
 
@@ -65,13 +74,14 @@ class Proposal:
     """The next experiment.
 
     Attributes:
-        purpose: ``separate`` hypotheses, or ``cover`` what no recording has shown.
+        purpose: ``separate`` hypotheses, ``cover`` what no recording has shown, or ``repeat``.
         sequence: The sequence.
         reason: One sentence with numbers.
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight is hung or taken off.
         apart: Pair of hypotheses to the expected preference, standard errors.
         refused: Part to the limit that a hypothesis would come too near to.
+        repeats: Run that is repeated, or empty.
     """
 
     purpose: str
@@ -81,6 +91,7 @@ class Proposal:
     weight_changes: int
     apart: Mapping[tuple[str, str], float]
     refused: Mapping[str, str]
+    repeats: str = ""
 
 
 class Choice(NamedTuple):
@@ -94,10 +105,13 @@ class Choice(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """A part that no hypothesis brings too near to a limit, with what it would show."""
+    """A part that no hypothesis brings too near to a limit, with what it would show, and the
+    regions that it visits.
+    """
 
     part: Part
     evidence: Mapping[Pair, Evidence]
+    regions: frozenset[Region]
 
 
 @dataclass(frozen=True)
@@ -110,6 +124,7 @@ class _Design:
     before: Sequence[Evidence]
     judged: Sequence[_Judged]
     refused: Mapping[str, str]
+    visited: frozenset[Region]
     lost: frozenset[Pair] = frozenset()
 
     def added(self, chosen: Sequence[_Judged]) -> dict[Pair, Evidence]:
@@ -128,12 +143,31 @@ class _Design:
         after = visibility(self.before[0] + self.added(chosen)[0, 0])
         return np.asarray(np.maximum(after, TINY) / np.maximum(visibility(self.before[0]), TINY))
 
+    def new(self, chosen: Sequence[_Judged]) -> frozenset[Region]:
+        """Return the regions that an experiment visits and no recording so far has visited."""
+        return frozenset[Region]().union(*(one.regions for one in chosen)) - self.visited
+
+    def _covered(self, chosen: Sequence[_Judged]) -> tuple[float, float, float]:
+        """Return gains: of the visibility of the catalogue's effects, of regions, of information on
+        the constants.
+        """
+        gains = np.clip(np.log(self.shown(chosen)), 0.0, MOST_VISIBLE)
+        told = information(self.before[0], self.added(chosen)[0, 0])
+        return float(np.sum(gains)), float(len(self.new(chosen))), told
+
+    @cached_property
+    def _attainable(self) -> tuple[float, float, float]:
+        return self._covered(self.judged)
+
     def worth(self, chosen: Sequence[_Judged]) -> float:
-        """Return the worth of an experiment, in factors e of the error bound."""
-        constants = OF_CONSTANTS * information(self.before[0], self.added(chosen)[0, 0])
+        """Return the worth of an experiment: in factors e of the error bound, or, to cover, as a
+        share of what all parts together would show, of the catalogue and of regions alike.
+        """
         if self.cover:
-            gains = np.clip(np.log(self.shown(chosen)), 0.0, MOST_VISIBLE)
-            return float(np.sum(gains)) + constants
+            pairs = zip(self._covered(chosen), self._attainable, strict=True)
+            effects, regions, constants = (own / most if most > 0.0 else 0.0 for own, most in pairs)
+            return effects + regions + OF_CONSTANTS * constants
+        constants = OF_CONSTANTS * information(self.before[0], self.added(chosen)[0, 0])
         odds = [h.weight for h in self.hypotheses]
         apart = self.apart(chosen)
         now, then = (
@@ -232,6 +266,7 @@ def _simulated(
     judged: list[_Judged] = []
     refused: dict[str, str] = {}
     drifts = any(EFFECTS[n].separation is Separation.SESSION for h in hypotheses for n in h.names)
+    limits = bench.document.value.limits
     parts = [
         part
         for part in family(bench.document.value, rng, drifts)
@@ -254,11 +289,37 @@ def _simulated(
                 here = experiment_views(run.recordings, hypotheses[0].joint, bandwidth_Hz)
                 for model, h in enumerate(hypotheses[:1] if cover else hypotheses):
                     found[truth, model] = evidence(h.joint, here, terms)
-            judged.append(_Judged(part, found))
+            judged.append(_Judged(part, found, regions(here, limits)))
         except (InputError, RecordingError) as error:
             refused[part.name] = str(error)
     before = [present(h.joint, terms) for h in hypotheses]
-    return _Design(bench, hypotheses, cover, before, judged, refused)
+    visited = regions(weighed.hypotheses[0].joint.views, limits)
+    return _Design(bench, hypotheses, cover, before, judged, refused, visited)
+
+
+def regions(recordings: Sequence[View], limits: LimitsSection) -> frozenset[Region]:
+    """Return the regions that recordings visit: under each load (in factors of sqrt(2) of its
+    mass), sixteenths of the permitted travel by direction, and factors of two of the speed by
+    direction and of the duration of rests.
+    """
+    width = (limits.angle_max_deg - limits.angle_min_deg) / TRAVEL_REGIONS
+    found: Counter[Region] = Counter()
+    for view in recordings:
+        mass = view.recording.weight_mass
+        load = round(2.0 * math.log2(mass)) if mass > 0.0 else None
+        moves, direction = ~view.still, np.sign(view.velocity)
+        pace = np.maximum(np.abs(np.rad2deg(view.velocity)) / limits.speed_deg_s, SLOWEST)
+        rest = np.maximum(view.rest_time, LEAST_REST_S)
+        for name, at, signs, where in (
+            ("angle", np.rad2deg(view.angle) / width, direction, moves),
+            ("speed", np.log2(pace), direction, moves),
+            ("rest", np.log2(rest), np.zeros_like(rest), view.still),
+        ):
+            cells = np.stack([signs, np.floor(at)])[:, where]
+            each, counts = np.unique(cells, axis=1, return_counts=True)
+            for (sign, cell), n in zip(each.T.tolist(), counts.tolist(), strict=True):
+                found[name, load, sign, cell] += n * view.step
+    return frozenset(region for region, seconds in found.items() if seconds >= VISIT_S)
 
 
 def _best(design: _Design, most_s: float, progress: Progress) -> list[_Judged]:
@@ -288,7 +349,11 @@ def _purpose(design: _Design, chosen: Sequence[_Judged], apart: Mapping[Pair, fl
     if design.cover:
         order = np.argsort(-design.shown(chosen), kind="stable")[:3]
         least = ", ".join(title(MOTION[k].name) for k in order)
-        return f"shows what the recordings so far show least: {least}"
+        new, all_new = len(design.new(chosen)), len(design.new(design.judged))
+        return (
+            f"shows what the recordings so far show least: {least}, and visits {new} of {all_new} "
+            "ranges of angle, speed, rest and load that they have not visited"
+        )
     rivals = design.hypotheses
     against = [
         f"from {spoken(rivals[b].name)} by {z:.1f} sigma (the recordings so far: "

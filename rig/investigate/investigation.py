@@ -52,6 +52,8 @@ VAIN = 2
 """Number of experiments that were to separate a pair and did not, after which it is given up; and
 of those that cover and show nothing, before the verdict *nothing missing*.
 """
+DESIGNED = ("separate", "cover", "repeat")
+"""Purposes of the experiments that the program chooses."""
 LEAST_HELD = 0.8
 """Share of the samples in the band of a sealed prediction below which the prediction has failed:
 the band is made for 90 %, and neighbouring samples are correlated.
@@ -76,7 +78,8 @@ class Experiment:
         seconds: Time of the bench and its operator, s.
         weight_changes: How often a weight was hung or taken off.
         state: ``planned`` before it runs, then the state of the run.
-        purpose: ``given``, ``first``, ``separate``, ``cover``, ``confirm``, or ``refute``: a
+        purpose: ``given``, ``first``, ``separate``, ``cover``, ``repeat`` (an experiment is run
+            again in which one recording alone shows an effect), ``confirm``, or ``refute``: a
             confirming experiment whose prediction failed; it is diagnosed with the others.
         odds: Probability of each hypothesis after the experiment.
         expected: Pair of hypotheses to the expected preference, standard errors.
@@ -84,6 +87,7 @@ class Experiment:
         levels: Likelihood gap of each hypothesis to the best one after the experiment, standard
             errors.
         left: Mean square of what the best hypothesis leaves, over that of the noise.
+        repeats: Run that is repeated, or empty.
     """
 
     run: str
@@ -98,6 +102,7 @@ class Experiment:
     verdict: str = ""
     levels: dict[str, float] = field(default_factory=dict)
     left: float = 1.0
+    repeats: str = ""
 
 
 @dataclass
@@ -467,7 +472,7 @@ class Investigation:
     def _experiment(self, proposal: Proposal) -> None:
         p = proposal
         e = _planned(p.reason, p.seconds, p.weight_changes, p.purpose)
-        e.expected = {joined(*pair): z for pair, z in p.apart.items()}
+        e.expected, e.repeats = {joined(*pair): z for pair, z in p.apart.items()}, p.repeats
         self._say(p.reason)
         self._carry(e, p.sequence.value)
 
@@ -488,7 +493,7 @@ class Investigation:
         """Return the next experiment, or None, with the reason in the state."""
         state, weighed = self.state, judged.weighed
         first, rivals = weighed.hypotheses[0], weighed.rivals
-        designed = [e for e in state.experiments if e.purpose in ("separate", "cover")]
+        designed = [e for e in state.experiments if e.purpose in DESIGNED]
         found, why = None, ""
         if state.left_s < LEAST_S:
             why = f"the budget of {state.budget_min:g} minutes is spent"
@@ -496,7 +501,8 @@ class Investigation:
             why = f"{MOST_EXPERIMENTS} experiments did not suffice"
         else:
             vain = {r.name for r in rivals if state.given_up(first.name, r.name)}
-            if len(vain) < len(rivals):
+            found = self._repetition(judged)
+            if found is None and len(vain) < len(rivals):
                 found = self._proposed(judged, vain, cover=False)
             if found is None and self._cover_is_worth_while():
                 found = self._proposed(judged, vain, cover=True)
@@ -512,6 +518,30 @@ class Investigation:
         if found is None:
             state.ended = why or _why_no_more(judged)
         return found
+
+    def _repetition(self, judged: Judgement) -> Proposal | None:
+        """Return the experiment again in which one recording alone shows an effect of the best
+        hypothesis: what belongs to the machine comes again, a mistake with a weight does not.
+        """
+        joint, names = judged.weighed.hypotheses[0].joint, set[str]()
+        for effect in joint.effects:
+            if effect.term.place is not None:
+                index = round(effect.shape[effect.term.place])
+                names |= {v.recording.name.split("/")[0] for v in joint.views if v.index == index}
+        repeated = {e.repeats for e in self.state.experiments} | {
+            e.run for e in self.state.experiments if e.repeats or not e.sequence
+        }
+        for e in self.state.experiments:
+            if e.run in names - repeated:
+                name = " and ".join(map(spoken, judged.weighed.hypotheses[0].names))
+                why = f"repeats {e.run}: whether {name} of one recording comes again"
+                sequence = load_sequence(self._folder / e.sequence)
+                cost = f"{e.seconds / 60.0:.1f} min of the bench"
+                said = f"{why}; {cost}"
+                return Proposal(
+                    "repeat", sequence, said, e.seconds, e.weight_changes, {}, {}, e.run
+                )
+        return None
 
     def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
         """Return an experiment that separates, or one that covers; note what none separates."""

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
+from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, write_json
@@ -23,7 +24,7 @@ from rig.common.provenance import Provenance
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document as Located
 from rig.config.sequence import load_sequence
-from rig.investigate.experiments import bench_seconds
+from rig.investigate.experiments import as_document, bench_seconds, family
 from rig.investigate.investigation import (
     Experiment,
     Investigation,
@@ -36,10 +37,9 @@ from rig.results.document import Document, Section, Table, provenance_section
 from rig.results.prove.document import shares
 from rig.results.prove.draw import NEEDS_GRAVITY, SIZES, Assigned, Kind, Rig, assignment, draw
 from rig.results.prove.engine import Engine
-from rig.results.prove.excitation import experiments
 from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
 from rig.results.prove.score import REFUSED, STRONG, VERSION, rate
-from rig.results.prove.simulate import campaign, reference_of, strength, truth_of
+from rig.results.prove.simulate import truth_of
 from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
 from rig.runs.run_record import Ending
 
@@ -50,7 +50,7 @@ ON_A_BENCH = tuple(
 )
 """Effects in every run of a bench with a lever, not in one recording of a campaign alone."""
 BUDGET_MIN = 40.0
-SCHEMA = "loadrig.prove_investigate/1"
+SCHEMA = "loadrig.prove_investigate/2"
 Said = tuple[str, list[str]]
 """Verdict, and names of the identified effects."""
 STATES = ("right", "wrong", "open", "missed")
@@ -107,6 +107,28 @@ class SimulatedInvestigation(Investigation):
         found = self.bench.simulate(plan, self._machine, self.state.seed + number).recordings
         return tuple(replace(r, name=f"{name}/{r.name}") for r in found)
 
+    def strength(self) -> float:
+        """Return the greatest residual of the nominal model, beyond that without effects and over
+        it, in one recording of all parts of the bench's experiments that stay within the limits.
+        """
+        seed, without = self.state.seed, replace(self._machine, effects={})
+        here, reference = list[Recording](), list[Recording]()
+        for part in family(self.bench.document.value, np.random.default_rng(seed), sessions=True):
+            plan = self.bench.plan(as_document("x", [part]), ())
+            found, free = (
+                self.bench.simulate(plan, machine, seed) for machine in (self._machine, without)
+            )
+            if not found.problem:
+                here += found.recordings
+                reference += free.recordings
+        floor = _residuals(reference)
+        left = {
+            k: math.sqrt(max(r**2 / floor[k] ** 2 - 1.0, 0.0))
+            for k, r in _residuals(here).items()
+            if k in floor
+        }
+        return max(left.values(), default=0.0)
+
     def judged(self, refine: bool = False) -> Judgement:
         """Diagnose all simulated experiments but the confirming one."""
         fitted = [e.run for e in self.state.experiments if e.purpose != "confirm"]
@@ -130,6 +152,21 @@ class SimulatedInvestigation(Investigation):
     def ended(self, folder: Path) -> str:
         """Return the state of an experiment that was simulated."""
         return Ending.DONE.value
+
+
+def _residuals(recordings: Sequence[Recording]) -> dict[tuple[str, int], float]:
+    """Return the rms residual of the nominal model, by equation and number of the recording; at
+    least the noise of a row.
+    """
+    dataset, bandwidth, _ = choose(Dataset(tuple(recordings)), None)
+    _, joint = views_and_fit(dataset, bandwidth)
+    found = {}
+    for e in joint.equations:
+        rows = joint.residual[joint.stack.part(e.name)]
+        for owner in np.unique(e.owner).tolist():
+            rms = math.sqrt(float(np.mean(rows[e.owner == owner] ** 2)))
+            found[e.name, owner] = e.sigma * max(rms, 1.0)
+    return found
 
 
 def begin(out: Path, rigs: int, seed: int) -> Proof:
@@ -195,12 +232,8 @@ def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
         found, trace = (REFUSED, []), traceback.format_exc()
     repeated = _repeated(one)
     truth = unseal(trial.truth, trial.digest).record(trial.number)
-    strengths = {}
-    if truth["kind"] != "nothing":
-        plan = experiments(False)
-        strengths = strength(campaign(rig, plan), reference_of(rig, plan))
-    strongest = max(strengths.values(), default=0.0)
-    return row_of(truth, strongest, state, found, repeated, trial.digest, trace)
+    strength = 0.0 if truth["kind"] == "nothing" else one.strength()
+    return row_of(truth, strength, state, found, repeated, trial.digest, trace)
 
 
 def machine_on(bench: Bench, drawn: Machine) -> Machine:
@@ -224,7 +257,7 @@ def _repeated(one: SimulatedInvestigation) -> Said:
 
 def row_of(
     truth: Mapping[str, Any],
-    strongest: float,
+    strength: float,
     state: State,
     found: Said,
     repeated: Said,
@@ -233,11 +266,11 @@ def row_of(
 ) -> dict[str, Any]:
     """Score an investigation against the truth of its machine.
 
-    ``strength``: greatest rms change of a channel by the effects over its noise, in the experiments
-    of ``rig prove``. ``state`` and ``repeated``: ``right``, ``wrong``, ``open`` or ``missed``, of
-    the investigation, and of Figure 10 repeated. ``to_name``: number of experiments and bench
-    minutes after which verdict and likeliest hypothesis were the final ones; null unless it is
-    right. ``held``: share of the samples in the sealed band.
+    ``strength``: see :meth:`SimulatedInvestigation.strength`. ``state`` and ``repeated``:
+    ``right``, ``wrong``, ``open`` or ``missed``, of the investigation, and of Figure 10 repeated.
+    ``to_name``: number of experiments and bench minutes after which verdict and likeliest
+    hypothesis were the final ones; null unless it is right. ``held``: share of the samples in the
+    sealed band.
     """
     verdict, named = found
     kind, names = truth["kind"], list(truth["effects"])
@@ -252,7 +285,7 @@ def row_of(
         "sha256": digest,
         "kind": kind,
         "effects": names,
-        "strength": strongest,
+        "strength": strength,
         "verdict": verdict,
         "named": named,
         "state": scored,

@@ -25,6 +25,7 @@ from identification.design.separation import (
     separations,
     visibility,
 )
+from identification.diagnosis.comparison import preference
 from identification.numerics.arrays import Array
 
 
@@ -123,14 +124,14 @@ def test_odds_sum_to_one_and_name_what_has_no_model() -> None:
     assert Weighed((sure,), 0.0).odds["backlash"] == 1.0
 
 
-def fitted(residual: Array) -> Any:
-    """A fit that leaves these whitened rows, each a block."""
+def fitted(residual: Array, block: int = 1) -> Any:
+    """A fit that leaves these whitened rows, in blocks of equal length."""
     return SimpleNamespace(
         residual=residual,
         cost=float(residual @ residual),
         effects=(),
         equations=[SimpleNamespace(white=False)],
-        stack=SimpleNamespace(sums=lambda rows: rows),
+        stack=SimpleNamespace(sums=lambda rows: rows.reshape(-1, block, rows.shape[1]).sum(axis=1)),
     )
 
 
@@ -141,3 +142,28 @@ def test_the_level_is_antisymmetric_and_never_more_than_the_squares_allow() -> N
     assert level(best, far) == pytest.approx(-level(far, best))
     assert level(best, far) > REJECTED
     assert 0.0 < level(best, near) <= 0.5 * math.sqrt(near.cost - best.cost) < 0.5
+
+
+def test_a_difference_that_few_blocks_show_counts_in_full() -> None:
+    noise = np.random.default_rng(6).standard_normal(4000)
+    apart = np.zeros(4000)
+    apart[:40] = 3.0
+    best, rival = fitted(noise, 10), fitted(noise - apart, 10)
+    d = math.sqrt(40 * 9.0)
+    assert level(best, rival) == pytest.approx(0.5 * d, rel=0.4)
+    assert preference(best, rival) < REJECTED, "its scatter over blocks is as large"
+    misfit = fitted(1.2 * noise, 10), fitted(1.2 * noise - apart, 10)
+    assert level(*misfit) == preference(*misfit), "more than noise is left"
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+def test_the_truth_is_rejected_as_rarely_as_stated(correlated: bool) -> None:
+    rng, rejected = np.random.default_rng(7), 0
+    for _ in range(1000):
+        noise = rng.standard_normal((100, 10))
+        if correlated:
+            noise = np.sqrt(0.5) * (noise + rng.standard_normal((100, 1)))
+        truth = noise.ravel()
+        rival = truth + 0.1 * np.sin(np.arange(1000) / 3.0)
+        rejected += level(fitted(rival, 10), fitted(truth, 10)) >= REJECTED
+    assert rejected <= 20, "1 % of 1000 are expected at most"

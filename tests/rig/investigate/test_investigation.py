@@ -54,9 +54,16 @@ class Killed(BaseException):
     """The program dies."""
 
 
-def weighed(preference: float, name: str = "cogging", outside: float = 0.01) -> Weighed:
+def weighed(
+    preference: float, name: str = "cogging", outside: float = 0.01, only: str = ""
+) -> Weighed:
     share = 1.0 if preference < 1.0 else 0.001
-    joint = cast(Any, SimpleNamespace(residual=np.ones(3)))
+    view = SimpleNamespace(index=7, recording=SimpleNamespace(name=f"{only}/a"))
+    effect = SimpleNamespace(term=SimpleNamespace(place=1), shape=(0.3, 7.0))
+    joint = cast(
+        Any,
+        SimpleNamespace(residual=np.ones(3), effects=[effect] if only else [], views=[view]),
+    )
     return Weighed(
         (
             Hypothesis((name,), joint, 0.0, 1.0),
@@ -78,6 +85,7 @@ class World:
     trips: bool = False
     indistinct: bool = False
     selected: str = ""
+    only: str = ""
     held: tuple[float, ...] = ()
     moments: int = 0
     outside: Callable[[int], float] = lambda _: 0.01
@@ -100,7 +108,7 @@ class World:
         return SimpleNamespace(
             outcome=outcome,
             diagnosis=diagnosis,
-            weighed=weighed(preference, outside=self.outside(len(folders))),
+            weighed=weighed(preference, outside=self.outside(len(folders)), only=self.only),
             found=None,
         )
 
@@ -118,6 +126,7 @@ class World:
             weight_changes=1,
             apart={} if cover else {("cogging", "torque_ripple"): 7.0},
             sequence=as_document(name, parts),
+            repeats="",
         )
         return Choice(cast(Any, proposal), {})
 
@@ -226,6 +235,22 @@ def test_a_pair_is_given_up_after_two_experiments_in_vain(world: World) -> None:
     world.begin(state).run()
     assert purposes(state).count("separate") == VAIN
     assert str(VAIN) in state.cannot_separate[0]["why"]
+
+
+@pytest.mark.parametrize(("only", "repeats"), [("01-first", ["01-first"]), ("a run", [])])
+def test_an_effect_of_one_recording_alone_is_looked_for_in_a_repetition(
+    world: World, only: str, repeats: list[str]
+) -> None:
+    world.only, world.per_run = only, 9.0
+    state = new()
+    world.begin(state).run()
+    assert [e.repeats for e in state.experiments if e.purpose == "repeat"] == repeats
+    first, *others = state.experiments
+    for e in others:
+        if e.purpose == "repeat":
+            stages = [load_sequence(world.folder / x.sequence).value.stages for x in (e, first)]
+            assert stages[0] == stages[1]
+            assert e.seconds == first.seconds
 
 
 @pytest.mark.parametrize(("failed", "kept"), [(1, 1), (MOST_REFUTED + 1, MOST_REFUTED)])

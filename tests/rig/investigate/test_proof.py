@@ -51,9 +51,7 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     verdict = SimpleNamespace(verdict=Verdict.NOTHING_MISSING, effects=())
     monkeypatch.setattr(SimulatedInvestigation, "run", run)
     monkeypatch.setattr(proof, "judge_recordings", lambda *_: SimpleNamespace(diagnosis=verdict))
-    for name in ("campaign", "reference_of"):
-        monkeypatch.setattr(proof, name, lambda *_: [])
-    monkeypatch.setattr(proof, "strength", lambda *_: {"current": 5.0})
+    monkeypatch.setattr(SimulatedInvestigation, "strength", lambda _: 5.0)
     begun = proof.begin(tmp_path, 2, 4)
     rows = proof.work(begun, Engine(1), quiet)
     assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
