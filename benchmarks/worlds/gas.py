@@ -19,7 +19,7 @@ from rig.config.sequence import raised_cosine
 from rig.results.prove.draw import Assigned, Draw, Kind, apportion, either, in_turn, log
 from rig.results.prove.engine import Engine
 from rig.results.prove.excitation import CYCLE_S, Array
-from rig.results.prove.run import Progress, Task, making, seal_all
+from rig.results.prove.run import Made, Progress, Task, made, making, seal_all
 from rig.results.prove.truth import Sealed, seal_truth
 
 BURN_S = 20.0
@@ -196,9 +196,9 @@ def seal_gas(
     return seal_all(home, drawn, partial(seal_one, seed=seed), engine, progress, salt)
 
 
-def seal_one(task: Task, seed: int) -> str:
-    """Simulate and seal one rig."""
-    with making(task) as where:
+def seal_one(task: Task, seed: int) -> Made:
+    """Simulate and seal one rig in a temporary folder."""
+    with making(task.number) as where:
         rig = draw_gas(*task.assigned, (seed, task.number))
         burns = campaign(rig)
         write(where.campaign, burns)
@@ -211,7 +211,7 @@ def seal_one(task: Task, seed: int) -> str:
             noise = rig.machine.gas.transmitter.noise_Pa
             truth["strength"] = {"pressure": float(np.sqrt(np.mean(changes**2))) / noise}
         seal_truth(where, where.name, truth, task.salt)
-        return where.name
+        return made(where)
 
 
 def truth_of(rig: GasRig) -> dict[str, Any]:

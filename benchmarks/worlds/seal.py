@@ -16,7 +16,7 @@ from benchmarks.worlds.files import truth_of_world, write_world
 from benchmarks.worlds.logger import Columns, columns
 from benchmarks.worlds.world import Array, Signals, World
 from rig.results.prove.engine import Engine
-from rig.results.prove.run import Task, making, seal_all
+from rig.results.prove.run import Made, Task, made, making, seal_all
 from rig.results.prove.truth import Sealed, random_salt, seal_truth
 
 MOVING = 0.05
@@ -79,9 +79,9 @@ def seal_worlds(
     )
 
 
-def seal_world(task: Task, plant: Plant, seed: int) -> str:
-    """Simulate and seal one world."""
-    with making(task) as where:
+def seal_world(task: Task, plant: Plant, seed: int) -> Made:
+    """Simulate and seal one world in a temporary folder."""
+    with making(task.number) as where:
         world = draw_world(*task.assigned, (seed, task.number))
         logged = log_of(plant, world)
         write_world(where.campaign.parent, world, logged)
@@ -94,7 +94,7 @@ def seal_world(task: Task, plant: Plant, seed: int) -> str:
         seal_truth(
             where, where.name, truth_of_world(world, sorted(plant.not_scored), strength), task.salt
         )
-        return where.name
+        return made(where)
 
 
 def log_of(plant: Plant, world: World) -> list[Columns]:

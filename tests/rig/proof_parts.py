@@ -11,7 +11,7 @@ from rig.results.prove import judge as judging
 from rig.results.prove import run
 from rig.results.prove import simulate as simulating
 from rig.results.prove.judge import Judgement
-from rig.results.prove.run import Task, making
+from rig.results.prove.run import Made, Task, made, making
 from rig.results.prove.truth import seal_truth
 
 DIES = "PROOF_PARTS_DIES"
@@ -25,14 +25,14 @@ recordings: [{file: a.npz, channels: {time: t, angle: q, current: i}}]
 """
 
 
-def seal(task: Task, seed: int) -> str:
-    with making(task) as where:
+def seal(task: Task, seed: int) -> Made:
+    with making(task.number) as where:
         for file in (where.campaign, where.reference):
             file.parent.mkdir(parents=True)
             file.write_text(CAMPAIGN)
             (file.parent / "a.npz").write_bytes(bytes((seed, task.number)))
         truth = {"effects": {name: {} for name in task.assigned[1]}, "strength": {"current": 4.0}}
-        return seal_truth(where, where.name, truth, task.salt).name
+        return made(seal_truth(where, where.name, truth, task.salt))
 
 
 def judge(source: Path, seed: int) -> Judgement:

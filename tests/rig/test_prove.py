@@ -237,14 +237,14 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have rigs of which nothing but a campaign file is simulated."""
 
-    def seal(task: proving.Task, seed: int) -> str:
+    def seal(task: proving.Task, seed: int) -> proving.Made:
         effects = {name: {} for name in task.assigned[1]}
-        with proving.making(task) as where:
+        with proving.making(task.number) as where:
             where.campaign.parent.mkdir(parents=True)
             where.campaign.write_text(CAMPAIGN)
             strength = {"current": 4.0} if effects else {}
             truth = {"effects": effects, "strength": strength}
-            return seal_truth(where, where.name, truth, task.salt).name
+            return proving.made(seal_truth(where, where.name, truth, task.salt))
 
     monkeypatch.setattr(proving, "_seal", seal)
     monkeypatch.setattr("rig.results.prove.judge.oracle_of", gain)

@@ -1,8 +1,8 @@
-"""Divides the work of a proof among processes of this command.
+"""Divides the work of a proof among processes of this command, and reads and writes its folders.
 
 Function, tasks and results are sent between processes: the function must be importable, tasks and
-results must be plain data. The result of a task and the files that it writes must depend on the
-task alone, and not on the number or on the order of the processes.
+results must be plain data, and the result of a task must depend on the task alone. Only the calling
+process writes files, so that no file depends on the number or on the order of the processes.
 """
 
 from __future__ import annotations
@@ -20,11 +20,28 @@ from typing import Any, NamedTuple, TypeVar
 
 import rig
 from rig.common.errors import InputError
+from rig.common.places import is_file, read_bytes, replacing
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 DEATHS = 3  # number of workers that may die in a row without a result
+Files = Mapping[str, bytes]  # contents of files by their paths relative to a folder, with slashes
+
+
+def read_folder(folder: Path) -> dict[str, bytes]:
+    """Return all files of a folder and of the folders in it, in order of their names."""
+    found = sorted(f for f in folder.rglob("*") if is_file(f))
+    return {f.relative_to(folder).as_posix(): read_bytes(f) for f in found}
+
+
+def write_folder(folder: Path, files: Files) -> None:
+    """Write files into a folder, in their order, each by one rename."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            draft.write_bytes(content)
 
 
 def without_place(record: Any, folder: Path) -> Any:

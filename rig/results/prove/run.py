@@ -10,26 +10,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from shutil import copyfile
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.common.places import (
-    is_file,
-    read_json,
-    read_utf8,
-    replacing,
-    usable,
-    write_json,
-    write_text,
-)
+from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
-from rig.results.prove.engine import Engine, without_place
+from rig.results.prove.engine import Engine, Files, read_folder, without_place, write_folder
 from rig.results.prove.excitation import experiments
 from rig.results.prove.judge import Judge, Judgement
 from rig.results.prove.score import REFUSED, VERSION, row_of
@@ -186,53 +177,54 @@ def _found(home: Path) -> Iterator[Sealed]:
 
 
 class Task(NamedTuple):
-    """One rig to make in a folder of sealed rigs."""
+    """One rig to make."""
 
-    home: Path
     number: int
     assigned: Assigned
     salt: str
 
 
+class Made(NamedTuple):
+    """One rig that was made."""
+
+    name: str
+    # Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
+    files: Files
+
+
 def seal_all(
     home: Path,
     drawn: Sequence[tuple[int, Assigned]],
-    one: Callable[[Task], str],
+    one: Callable[[Task], Made],
     engine: Engine,
     progress: Progress,
     salt: Callable[[int], str] = random_salt,
 ) -> list[Sealed]:
-    """Make the rigs that do not exist yet; return all rigs with their digests.
-
-    ``one``: makes a rig, see :func:`making`, and returns its name.
-    """
+    """Make and write the rigs that do not exist yet; return all rigs with their digests."""
     todo = [
-        Task(home, n, assigned, salt(n))
+        Task(n, assigned, salt(n))
         for n, assigned in drawn
         if not is_file(place(home, _name(n)).truth)
     ]
     results = engine.each(one, todo)
-    for _ in _told(results, len(todo), len(drawn), "{} sealed".format, progress):
-        pass
+    for rig in _told(results, len(todo), len(drawn), lambda r: f"{r.name} sealed", progress):
+        write_folder(home, rig.files)
     write_sums(home)
     return sealed_rigs(home)
 
 
 @contextmanager
-def making(task: Task) -> Iterator[Sealed]:
-    """Yield the paths of a rig in a temporary folder; copy its files to their folder afterwards.
-
-    The truth is copied last: it marks the rig as made.
-    """
+def making(number: int) -> Iterator[Sealed]:
+    """Yield the paths of a rig in a temporary folder."""
     with TemporaryDirectory(prefix="loadrig-") as scratch:
-        where = place(Path(scratch), _name(task.number))
-        yield where
-        files = [f for f in Path(scratch).rglob("*") if is_file(f)]
-        for file in sorted(files, key=lambda f: f == where.truth):
-            target = task.home / file.relative_to(scratch)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(target) as draft:
-                copyfile(file, draft)
+        yield place(Path(scratch), _name(number))
+
+
+def made(where: Sealed) -> Made:
+    """Return the files of a rig that was written into a temporary folder."""
+    files = read_folder(where.campaign.parents[1])
+    truth = f"{SEALED}/{where.truth.name}"
+    return Made(where.name, {**{k: v for k, v in files.items() if k != truth}, truth: files[truth]})
 
 
 def _name(number: int) -> str:
@@ -255,9 +247,9 @@ def seal_own(
     return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress, salt)
 
 
-def _seal(task: Task, seed: int) -> str:
-    """Simulate and seal one trial."""
-    with making(task) as where:
+def _seal(task: Task, seed: int) -> Made:
+    """Simulate and seal one trial in a temporary folder."""
+    with making(task.number) as where:
         rig = draw(*task.assigned, (seed, task.number))
         plan = experiments(rig.gravity)
         recorded = campaign(rig, plan)
@@ -268,7 +260,7 @@ def _seal(task: Task, seed: int) -> str:
             write(where.reference.parent, rig.machine, reference)
             truth["strength"] = strength(recorded, reference)
         seal_truth(where, where.name, truth, task.salt)
-        return where.name
+        return made(where)
 
 
 Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
