@@ -10,6 +10,7 @@ import click
 
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
+from rig.common.places import replacing, usable
 from rig.common.yaml_tree import DocumentError, parse
 from rig.config.acceptance import Limit, limits_of
 from rig.config.configuration import located_text, validated
@@ -24,14 +25,19 @@ if TYPE_CHECKING:
     from rig.results.acceptance.certificate import Acceptance
 
 
-def accept_run(folder: Path, limits: Sequence[Limit], source: str) -> Acceptance:
-    """Judge a run, and print the outcome."""
+def accept_run(
+    folder: Path, limits: Sequence[Limit], source: str, junit_file: Path | None
+) -> Acceptance:
+    """Judge a run, print the outcome, and write the JUnit file if one is requested."""
     from rig.results.acceptance.certificate import accept, acceptance_document
     from rig.results.document import text
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         found = accept(folder, limits, source, bar)
+    if junit_file is not None:
+        with usable(junit_file, "written"), replacing(junit_file) as draft:
+            draft.write_bytes(found.junit)
     click.echo(text(acceptance_document(found)))
     return found
 
@@ -53,7 +59,7 @@ def _of_file(file: Path | None) -> tuple[tuple[Limit, ...], str] | None:
     return None if file is None else (limits_of(load_acceptance(file).value.limits), str(file))
 
 
-def accept_at_the_end(folder: Path) -> int:
+def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     """Judge a run that has just been completed; return the exit status.
 
     The limits are those stored in the run's recording, because the file of limits may have changed
@@ -67,7 +73,7 @@ def accept_at_the_end(folder: Path) -> int:
     count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
     click.echo(f"The run is judged by its completeness and {count}; this may take a minute.")
     try:
-        found = accept_run(folder, limits, source)
+        found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:
         click.echo(f"not judged; judge the run with `rig runs accept {folder}`", err=True)
         raise

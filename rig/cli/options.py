@@ -97,6 +97,14 @@ identification: Decorator = click.option(
     help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
     "friction of this result.",
 )
+junit: Decorator = click.option(
+    "--junit",
+    "junit_file",
+    metavar="FILE",
+    type=FILE,
+    callback=_writable,
+    help="Also write the acceptance as JUnit XML.",
+)
 first_pass: Decorator = click.option(
     "--first-pass/--no-first-pass",
     default=None,

@@ -7,19 +7,21 @@ import shutil
 from pathlib import Path
 
 import pytest
+from lxml import etree
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.config.acceptance import Limit, parse_limit
 from rig.config.sequence import load_acceptance
-from rig.results.acceptance.certificate import accept
+from rig.results.acceptance.certificate import accept, junit
 from rig.results.acceptance.evidence import Check, Evidence, accepted, gather, judge
 from rig.runs.catalogue.entry import Constant
 from rig.runs.run_file import read_seal
 
 from .conftest import IDENTIFIED, SHORT, run_in
 
+XSD = Path(__file__).with_name("junit.xsd")
 LINES = """\
 acceptance: [Mc: 6.5..7.1, p99 lateness < 1 ms, 'tracking error rms < 0.05 deg']
 """
@@ -160,18 +162,39 @@ def test_a_run_that_is_not_complete_is_rejected(evidence: Evidence) -> None:
     assert "tripped: current" in checks[0].words
 
 
+def test_junit_is_valid_and_says_what_failed(evidence: Evidence) -> None:
+    schema = etree.XMLSchema(etree.parse(XSD))
+    checks = [
+        Check("p99 lateness < 1 ms", True, "0 ms"),
+        Check("Mc: 6.5..7.1", False, 'not "inside" \x1b[0m & <outside>'),
+    ]
+    root = etree.fromstring(junit(evidence.record, "practical", checks))
+    schema.assertValid(root)
+    assert root.get("failures") == "1"
+    (failure,) = root.findall(".//failure")
+    assert failure.get("message") == 'not "inside" ?[0m & <outside>'
+    assert [case.get("name") for case in root.iter("testcase")] == [
+        "p99 lateness < 1 ms",
+        "Mc: 6.5..7.1",
+    ]
+    # The schema refuses what a server would not read.
+    del root.find(".//testcase").attrib["name"]  # type: ignore[union-attr]
+    assert not schema.validate(root)
+
+
 def test_a_run_is_accepted_and_certified(run, tmp_path, capsys):
-    file = tmp_path / "a.json"
-    code = status(["runs", "accept", str(run), "--json", str(file)])
+    files = [str(tmp_path / name) for name in ("j.xml", "a.json")]
+    code = status(["runs", "accept", str(run), "--junit", files[0], "--json", files[1]])
     shown = capsys.readouterr().out
     assert code == 0, shown
     assert "ACCEPTED" in shown
-    record = json.loads(file.read_text())
+    record = json.loads(Path(files[1]).read_text())
     assert (record["verdict"], record["limits"], len(record["checks"])) == (
         "accepted",
         "sequence",
         4,
     )
+    etree.XMLSchema(etree.parse(XSD)).assertValid(etree.parse(files[0]))
     page = (run / "certificate.html").read_text()
     assert not re.search(r"https?://|<script|<link|@import|url\(", page)
     recorded = {each["file"]: each["sha256"] for each in record["inputs"]}

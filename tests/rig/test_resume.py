@@ -215,9 +215,10 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(monkeypatch):
     assert not Path("out/acceptance.json").exists()
     # The recording holds the limits.
     Path(given).unlink()
-    assert status(["resume", "out", "--yes"]) == 1
+    assert status(["resume", "out", "--yes", "--junit", "out.xml"]) == 1
     expected = ("given.yaml", False, ["lost samples < 1", "current worst < 1 mA"])
     assert judged() == expected
+    assert 'failures="1"' in Path("out.xml").read_text()
     assert status(["runs", "accept", "out"]) == 1
     assert judged() == expected
 

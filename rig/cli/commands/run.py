@@ -89,6 +89,7 @@ from rig.wiring.preflight import require_startable
 @shared.in_console
 @shared.wait
 @shared.acceptance("those of the sequence")
+@shared.junit
 @shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
 def run(
     sequence: str,
@@ -108,6 +109,7 @@ def run(
     in_console: bool,
     wait_s: float,
     acceptance: Path | None,
+    junit_file: Path | None,
     json_file: Path | None,
 ) -> int:
     """Run SEQUENCE, a file or the name of a packaged sequence, and record the run.
@@ -178,7 +180,7 @@ def run(
     status = _carry_out(
         inputs, plan, path, yes, patience_s, in_console, wait_s, json_file, injector
     )
-    return accept_at_the_end(path) if status == DONE else status
+    return accept_at_the_end(path, junit_file) if status == DONE else status
 
 
 @click.command("resume")
@@ -194,6 +196,7 @@ def run(
 @shared.in_console
 @shared.wait
 @shared.acceptance("those of the run")
+@shared.junit
 @shared.record_file("Also write run.json to this file.")
 def resume(
     run: Path,
@@ -205,6 +208,7 @@ def resume(
     in_console: bool,
     wait_s: float,
     acceptance: Path | None,
+    junit_file: Path | None,
     json_file: Path | None,
 ) -> int:
     """Continue RUN at its first unfinished stage, after a crash, a stop or a trip, in the same run
@@ -259,7 +263,7 @@ def resume(
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     patience_s = resumed.bench.value.prompt_timeout_s
     status = _carry_out(inputs, plan, run, yes, patience_s, in_console, wait_s, json_file)
-    return accept_at_the_end(run) if status == DONE else status
+    return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
 def _left(plan: Plan, inputs: Inputs) -> Plan:

@@ -290,8 +290,11 @@ def study(
 @command.command("accept")
 @click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
+@shared.junit
 @shared.result_file
-def accept(run: Path, acceptance: Path | None, json_file: Path | None) -> int:
+def accept(
+    run: Path, acceptance: Path | None, junit_file: Path | None, json_file: Path | None
+) -> int:
     """Compare a finished RUN with acceptance limits, and write its certificate.
 
     The limits are those of --acceptance, else those of the file that was given to `rig run`, else
@@ -302,7 +305,7 @@ def accept(run: Path, acceptance: Path | None, json_file: Path | None) -> int:
 
     \b
     Example:
-      rig runs accept runs/demo --acceptance limits.yaml
+      rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
     """
     from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
@@ -311,7 +314,7 @@ def accept(run: Path, acceptance: Path | None, json_file: Path | None) -> int:
     _one(run)
     limits, source = limits_for(run, acceptance)
     until_the_end(hold_folder(run, "rig runs accept"))
-    found = accept_run(run, limits, source)
+    found = accept_run(run, limits, source, junit_file)
     write_asked(json_file, found.record)
     return DONE if found.accepted else BAD_VERDICT
 

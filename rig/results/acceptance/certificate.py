@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,7 @@ from rig.common.places import usable
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
 from rig.common.provenance import heading, sha256_file
 from rig.common.tables import interval, number
+from rig.common.text import valid
 from rig.config.acceptance import Limit
 from rig.results.acceptance.evidence import (
     DIAGNOSIS_FOLDER,
@@ -224,6 +227,8 @@ def _overview(dataset: Dataset) -> Figure:
 
 ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"
 RESULT_FILE = "acceptance.json"
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 does not allow."""
 
 
 def acceptance_record(
@@ -241,12 +246,60 @@ def acceptance_record(
     }
 
 
+def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
+    """Return the checks as JUnit XML in UTF-8: one test suite with one test case for each limit.
+
+    The form is that of https://github.com/testmoapp/junitxml; times are zero, because a check takes
+    no measurable time.
+    """
+    failed = sum(not check.passed for check in checks)
+    counts = {
+        "tests": str(len(checks)),
+        "failures": str(failed),
+        "errors": "0",
+        "skipped": "0",
+        "time": f"{record.seconds:.3f}",
+    }
+    name = _xml(f"{record.name} on {bench}")
+    root = ET.Element("testsuites", {"name": "rig acceptance", **counts})
+    stamp = record.created.partition("+")[0]
+    suite = ET.SubElement(root, "testsuite", {"name": name, **counts, "timestamp": stamp})
+    properties = ET.SubElement(suite, "properties")
+    for key, value in {
+        "bench": bench,
+        "simulated": str(record.simulated).lower(),
+        "operator": record.operator or "",
+        "begun": record.created,
+        "state": record.state,
+        **{f"mass of {s.name}, kg": f"{s.mass_kg:g}" for s in record.stages},
+        **{f"sha256 of {name}": entry["sha256"] for name, entry in record.inputs.items()},
+    }.items():
+        ET.SubElement(properties, "property", {"name": key, "value": _xml(value)})
+    for check in checks:
+        told = {"name": _xml(check.limit), "classname": name, "time": "0.000"}
+        case = ET.SubElement(suite, "testcase", told)
+        if not check.passed:
+            words = _xml(check.words)
+            failure = {"message": words, "type": "limit"}
+            ET.SubElement(case, "failure", failure).text = f"{_xml(check.limit)}: {words}"
+        else:
+            ET.SubElement(case, "system-out").text = _xml(check.words)
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def _xml(text: str) -> str:
+    """Return a text without the characters that XML does not allow."""
+    return _NOT_XML.sub("?", valid(text))
+
+
 @dataclass(frozen=True)
 class Acceptance:
     """Result of an acceptance."""
 
     checks: tuple[Check, ...]
     record: Mapping[str, Any]
+    junit: bytes
     folder: Path
 
     @property
@@ -274,7 +327,7 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     seal(folder, [*digests, CERTIFICATE_PAGE])
     with usable(folder / REPORT_FILE, "written"):
         write_verdict(folder, record)
-    return Acceptance(checks, result, folder)
+    return Acceptance(checks, result, junit(record, bench, checks), folder)
 
 
 def acceptance_document(found: Acceptance) -> Document:
