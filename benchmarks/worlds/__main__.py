@@ -9,7 +9,7 @@ import click
 
 from benchmarks.worlds.gas import seal_gas
 from benchmarks.worlds.seal import Plant, seal_worlds
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.truth import random_salt, repeated_salt
 
 OWN, THIRD, MUJOCO, GAS = "own", "third", "mujoco", "gas"
@@ -79,7 +79,7 @@ def main(out: Path, plant: str, rigs: int, seed: int, jobs: int, secret: bool) -
     def told(what: str, _share: float) -> None:
         click.echo(what, err=True)
 
-    for rig in seal(out, rigs=rigs, seed=seed, engine=Engine(jobs), progress=told, salt=salt):
+    for rig in seal(out, rigs=rigs, seed=seed, engine=Processes(jobs), progress=told, salt=salt):
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 

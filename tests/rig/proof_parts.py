@@ -1,4 +1,4 @@
-"""Made-up trials and diagnoses that the workers of ``test_engine`` can import."""
+"""Made-up trials and diagnoses that the workers of ``test_cluster`` can import."""
 
 import hashlib
 import os
@@ -6,6 +6,8 @@ import signal
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from rig.results.prove import judge as judging
 from rig.results.prove import run
@@ -76,9 +78,13 @@ def floors_of(source: Path) -> Mapping[str, float]:
 
 
 def obey() -> None:
-    """Be killed as the environment says."""
+    """Be killed as the environment says; check that nobody listens beyond the loopback."""
     if DIES not in os.environ:
         return
+    here = psutil.Process()
+    for process in (here, *here.parents()[:1]):
+        listening = (c for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN)
+        assert {c.laddr.ip for c in listening} <= {"127.0.0.1"}
     try:
         Path(os.environ[DIES]).touch(exist_ok=False)
     except FileExistsError:

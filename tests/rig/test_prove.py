@@ -11,12 +11,12 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
 from rig.results.prove.score import confusion, rate, row_of, score
 from rig.results.prove.truth import seal_truth, unseal
 
-SEED, ENGINE = 3, Engine(1)
+SEED, ENGINE = 3, Processes(1)
 CAMPAIGN = """campaign: 1
 bench: {motion: rotary, torque_constant: 0.1}
 recordings: [{file: a.csv, channels: {time: t, angle: q, current: i}}]

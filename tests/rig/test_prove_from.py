@@ -10,13 +10,13 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import run as judging
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import SUMS_FILE, sealed_rigs, write_sums
 from rig.results.prove.score import score
 from rig.results.prove.truth import load_truth, unseal
 
-ENGINE = Engine(1)
+ENGINE = Processes(1)
 CAMPAIGN = """campaign: 1
 bench: {motion: rotary, torque_constant: 0.1}
 recordings:

@@ -1,4 +1,4 @@
-"""Parents whose workers hang or die, which ``test_engine`` runs in processes of their own."""
+"""Parents whose workers hang or die, which ``test_cluster`` runs in processes of their own."""
 
 import json
 import os
@@ -6,12 +6,12 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from subprocess import PIPE, Popen
 
 from rig.common.errors import InputError
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Engine, Processes
 
 
 def hang(fifo: str) -> None:
@@ -49,17 +49,20 @@ def dying(engine: Engine, file: str) -> None:
 
 def main() -> None:
     """Run what the command line names on an engine."""
-    name, file = sys.argv[1:]
-    {"hanging": hanging, "dying": dying}[name](Engine(2), file)
+    name, workers, file = sys.argv[1:]
+    if int(workers):
+        from rig.results.prove.cluster import local_cluster
+    with local_cluster(int(workers)) if int(workers) else nullcontext(Processes(2)) as engine:
+        {"hanging": hanging, "dying": dying}[name](engine, file)
 
 
 @contextmanager
-def parent(name: str, file: Path) -> Iterator[Popen[str]]:
+def parent(name: str, workers: int, file: Path) -> Iterator[Popen[str]]:
     """Run :func:`main` in a process and a process group of its own."""
     root = str(Path(__file__).parents[2])
     command = "from tests.rig import workers; workers.main()"
     with Popen(
-        [sys.executable, "-c", command, name, str(file)],
+        [sys.executable, "-c", command, name, str(workers), str(file)],
         env={**os.environ, "PYTHONPATH": root},
         stdout=PIPE,
         stderr=PIPE,

@@ -18,7 +18,7 @@ from benchmarks.worlds.gas import (
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import problems
 from identification.effects import EFFECTS
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.judge import oracle_of
 from rig.results.prove.truth import unseal
 from rig.sources import load_source
@@ -45,7 +45,7 @@ def test_rigs_are_sealed_and_their_campaigns_tell_nothing(
     """Burns of 3 s."""
     plan = tuple(GasExperiment(e.name, e.role, e.command[:3000]) for e in gas_experiments())
     monkeypatch.setattr(gas, "gas_experiments", lambda: plan)
-    rigs = gas.seal_gas(tmp_path, 4, 2, Engine(1), lambda what, share: None, lambda n: "salt")
+    rigs = gas.seal_gas(tmp_path, 4, 2, Processes(1), lambda what, share: None, lambda n: "salt")
     kinds = {}
     for n, (sealed, assigned) in enumerate(zip(rigs, gas_assignment(4, 2), strict=True), start=1):
         truth = unseal(sealed.truth, sealed.digest)

@@ -25,7 +25,7 @@ from benchmarks.worlds.sizes import SIZES
 from benchmarks.worlds.torque import Course
 from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.cli.entry import status
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.run import SUMS_FILE, sealed_rigs
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
@@ -212,7 +212,7 @@ def test_effects_of_sensing_change_their_channel_alone() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
-    rigs = seal_worlds(tmp_path, Follower(), 8, 21, Engine(1), lambda what, share: None)
+    rigs = seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
     assert [rig.name for rig in rigs] == [f"rig-{n:04d}" for n in range(1, 9)]
     kinds = []
     for rig in rigs:
@@ -230,7 +230,7 @@ def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
         assert all(channels[recorded[word]].size > 50 for word in encoders)
     assert kinds.count("nothing") == 2
     before = [rig.truth.stat().st_mtime_ns for rig in rigs]
-    seal_worlds(tmp_path, Follower(), 8, 21, Engine(1), lambda what, share: None)
+    seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
     assert [rig.truth.stat().st_mtime_ns for rig in rigs] == before, "what is there is kept"
 
 

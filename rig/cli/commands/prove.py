@@ -100,6 +100,19 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     help="Folder of the proof; a proof that was begun in this folder is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
+@click.option(
+    "--cluster",
+    "workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Use N worker processes of a dask cluster on this machine (needs the extra `dask`).",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Use the workers of this dask scheduler, which you trust, e.g. tls://10.0.0.5:8786 (needs "
+    "the extra `dask`).",
+)
 @shared.seed("Seed of draws and diagnosis.")
 @click.option(
     "--investigate",
@@ -115,6 +128,8 @@ def prove(
     source: Path | None,
     out: Path,
     jobs: int,
+    workers: int | None,
+    scheduler: str | None,
     seed: int,
     investigated: bool,
     json_file: Path | None,
@@ -126,7 +141,7 @@ def prove(
     diagnoses all rigs before it opens the first truth; with --investigate, each truth is opened
     after the investigation of its own machine. Trials are kept in OUT/trials, about 12 MB each,
     machines of --investigate in OUT/machines. The result files have the same bytes for any number
-    of processes; SHA256SUMS in the folder lists their digests.
+    of processes or workers; SHA256SUMS in the folder lists their digests.
 
     \b
     Example:
@@ -134,31 +149,36 @@ def prove(
       rig prove --investigate --rigs 34 --jobs 2 --out investigated
       rig prove --seal sealed --rigs 24 --seed 7
       rig prove --from sealed-by-others --json proof.json
+      rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_folder
-    from rig.results.prove.engine import Engine
+    from rig.results.prove.engine import engine
 
     if home is not None and source is not None:
         raise InputError(
             "--seal writes trials and --from reads trials; give only one of these options"
         )
-    if investigated and (home or source):
-        raise InputError("--investigate cannot be combined with --seal or --from; leave it out")
+    if investigated and any(other is not None for other in (home, source, scheduler)):
+        raise InputError(
+            "--investigate cannot be combined with --seal, --from or --scheduler; leave it out"
+        )
     require_folder(out, "--out")
-    started, engine = time.perf_counter(), Engine(jobs)
+    started = time.perf_counter()
     try:
-        if investigated:
-            _investigate(out, rigs, seed, engine, started, json_file)
-            return
-        if home is not None:
-            require_folder(home, "--seal")
-            _tell(_seal(home, rigs, seed, engine))
-            return
-        if source is None:
-            source = out / "trials"
-            _seal(source, rigs, seed, engine, repeated=True)
-        _show(_judge(source, out, rigs, seed, engine), out, seed, started, json_file)
+        with engine(jobs, workers, scheduler) as shared_out:
+            if investigated:
+                _investigate(out, rigs, seed, shared_out, started, json_file)
+                return
+            if home is not None:
+                require_folder(home, "--seal")
+                _tell(_seal(home, rigs, seed, shared_out))
+                return
+            if source is None:
+                source = out / "trials"
+                _seal(source, rigs, seed, shared_out, repeated=True)
+            rows = _judge(source, out, rigs, seed, shared_out)
+        _show(rows, out, seed, started, json_file)
     except OSError as error:
         raise InputError(
             f"{error.filename or out}: cannot be written: {error.strerror}; give --out or --seal "

@@ -1,8 +1,10 @@
-"""Divides the work of a proof among processes of this command, and reads and writes its folders.
+"""Engines that divide the work of a proof among processes of this command, or among the workers of
+a dask cluster.
 
+An engine calls a function with each task of a list, and yields the results as they arrive.
 Function, tasks and results are sent between processes: the function must be importable, tasks and
 results must be plain data, and the result of a task must depend on the task alone. Only the calling
-process writes files, so that no file depends on the number or on the order of the processes.
+process writes files, so that no file depends on the number or on the order of the workers.
 """
 
 from __future__ import annotations
@@ -12,21 +14,60 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Thread
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import rig
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_bytes, replacing
+from rig.config.campaign import load_campaign
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-DEATHS = 3  # number of workers that may die in a row without a result
+DEATHS = 3  # number of workers that may die in a row, or on one task, without a result
+
+
+class Engine(Protocol):
+    """Calls a function with each of many tasks, in worker processes.
+
+    Attributes:
+        shares_files: Whether workers read the files of this process at the same paths.
+    """
+
+    @property
+    def shares_files(self) -> bool: ...  # noqa: D102 - see the class
+
+    def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
+        """Yield results in the order in which they arrive.
+
+        A task whose worker dies is given to another worker.
+        """
+        ...
+
+
+def died(what: str) -> InputError:
+    """Return the error for workers that die repeatedly."""
+    return InputError(
+        f"{what}, perhaps for lack of memory; all finished work is kept: repeat the command with "
+        f"this --out and with fewer --jobs or workers"
+    )
+
+
 Files = Mapping[str, bytes]  # contents of files by their paths relative to a folder, with slashes
+
+
+class Bundle(NamedTuple):
+    """A campaign with the files of its folder."""
+
+    folder: str
+    campaign: str
+    files: Files
 
 
 def read_folder(folder: Path) -> dict[str, bytes]:
@@ -42,6 +83,37 @@ def write_folder(folder: Path, files: Files) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:
             draft.write_bytes(content)
+
+
+def bundle(campaign: Path) -> Bundle:
+    """Return a campaign in the form in which it is sent to a worker on another machine."""
+    folder = campaign.parent
+    try:
+        named = [name for r in load_campaign(campaign).value.recordings for name in r.patterns]
+    except InputError:
+        named = []  # The worker reports the error as the result of this rig.
+    astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
+    if astray:
+        raise InputError(
+            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker on "
+            f"another machine cannot read the files; move these files into {folder}, or use --jobs"
+        )
+    try:
+        return Bundle(folder.name, campaign.name, read_folder(folder))
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror}") from error
+
+
+@contextmanager
+def unpacked(given: Path | Bundle) -> Iterator[Path]:
+    """Yield the path of a campaign file; a bundle is first written into a temporary folder."""
+    if isinstance(given, Path):
+        yield given
+        return
+    with TemporaryDirectory(prefix="loadrig-") as scratch:
+        folder = Path(scratch) / given.folder
+        write_folder(folder, given.files)
+        yield folder / given.campaign
 
 
 def without_place(record: Any, folder: Path) -> Any:
@@ -67,15 +139,18 @@ ORPHANED = 1  # exit status of a worker whose parent has died
 AHEAD = 2  # number of tasks per worker that are submitted at once
 
 
-class Engine(NamedTuple):
-    """Calls a function with each of many tasks, in worker processes if there is more than one."""
+class Processes(NamedTuple):
+    """Engine of processes on this machine."""
 
     jobs: int
 
+    @property
+    def shares_files(self) -> bool:
+        """Return True: the workers can read the files of this process."""
+        return True
+
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
-        """Yield results in the order in which they arrive; a task whose worker dies is given to
-        another worker.
-        """
+        """Yield results as they arrive; see :class:`rig.results.prove.engine.Engine`."""
         if self.jobs == 1:
             yield from map(one, todo)
             return
@@ -90,11 +165,7 @@ class Engine(NamedTuple):
             except BrokenProcessPool as error:
                 deaths += 1
                 if deaths == DEATHS:
-                    raise InputError(
-                        f"worker processes died {deaths} times without a result, perhaps for lack "
-                        "of memory; all finished work is kept: repeat the command with this --out "
-                        "and with fewer --jobs"
-                    ) from error
+                    raise died(f"worker processes died {deaths} times without a result") from error
                 again = [*again, *waiting.values()]
 
     def _until_broken(
@@ -137,3 +208,25 @@ def _end_with_parent() -> None:
     assert parent is not None, "not a worker"
     parent.join()
     os._exit(ORPHANED)
+
+
+@contextmanager
+def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
+    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; workers end with it."""
+    if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
+        raise InputError(
+            "--jobs, --cluster and --scheduler each choose an engine; give only one of these "
+            "options"
+        )
+    if workers is None and scheduler is None:
+        yield Processes(jobs)
+        return
+    # Imported late: the import of dask takes a second, and only these two options need dask.
+    from rig.results.prove.cluster import local_cluster, remote_cluster
+
+    if workers is not None:
+        with local_cluster(workers) as cluster:
+            yield cluster
+    elif scheduler is not None:
+        with remote_cluster(scheduler) as cluster:
+            yield cluster

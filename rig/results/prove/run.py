@@ -20,7 +20,16 @@ from rig.common.places import is_file, read_json, read_utf8, usable, write_json,
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
-from rig.results.prove.engine import Engine, Files, read_folder, without_place, write_folder
+from rig.results.prove.engine import (
+    Bundle,
+    Engine,
+    Files,
+    bundle,
+    read_folder,
+    unpacked,
+    without_place,
+    write_folder,
+)
 from rig.results.prove.excitation import experiments
 from rig.results.prove.judge import Judge, Judgement
 from rig.results.prove.score import REFUSED, VERSION, row_of
@@ -299,7 +308,10 @@ def diagnose_all(proof: Proof, judge: Judge, engine: Engine, progress: Progress)
     """Diagnose the rigs that have no judgement yet; no truth is opened."""
     numbered = list(enumerate(proof.rigs, start=1))
     todo = [(n, r) for n, r in numbered if not is_file(proof.file(JUDGEMENTS, r))]
-    tasks = (ToDiagnose(diagnosis_seed(proof.seed, n), rig.name, rig.campaign) for n, rig in todo)
+    tasks = (
+        ToDiagnose(diagnosis_seed(proof.seed, n), rig.name, given(rig.campaign, engine))
+        for n, rig in todo
+    )
     results = engine.each(partial(diagnosed, judge=judge), tasks)
     for said in _told(results, len(todo), len(numbered), lambda r: f"{r.name} diagnosed", progress):
         # The judgement is written last, because it marks the rig as diagnosed.
@@ -316,7 +328,7 @@ class ToDiagnose(NamedTuple):
 
     seed: int
     name: str
-    campaign: Path
+    campaign: Path | Bundle
 
 
 class Diagnosed(NamedTuple):
@@ -328,16 +340,22 @@ class Diagnosed(NamedTuple):
     times: Mapping[str, Any]
 
 
+def given(campaign: Path, engine: Engine) -> Path | Bundle:
+    """Return a campaign in the form in which a worker of the engine can read it."""
+    return campaign if engine.shares_files else bundle(campaign)
+
+
 def diagnosed(task: ToDiagnose, judge: Judge) -> Diagnosed:
     """Diagnose one rig; the result depends on the arguments alone, except for its times."""
-    try:
-        judgement = judge(task.campaign, task.seed)
-    except InputError as error:
-        judgement = _refusal("; ".join(error.problems))
-    except Exception as error:  # noqa: BLE001 - a failure on one rig is a result of the proof
-        trace = traceback.format_exc()
-        judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
-    diagnosis, times = without_times(without_place(judgement.diagnosis, task.campaign.parent))
+    with unpacked(task.campaign) as campaign:
+        try:
+            judgement = judge(campaign, task.seed)
+        except InputError as error:
+            judgement = _refusal("; ".join(error.problems))
+        except Exception as error:  # noqa: BLE001 - a failure on one rig is a result of the proof
+            trace = traceback.format_exc()
+            judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
+        diagnosis, times = without_times(without_place(judgement.diagnosis, campaign.parent))
     beside = {"left": dict(judgement.left)}
     return Diagnosed(task.name, diagnosis, beside, times | {"seconds": judgement.seconds})
 
@@ -371,7 +389,7 @@ def score_all(
         )
     todo = [rig for rig in proof.rigs if not is_file(proof.file(ROWS, rig))]
     by_name = {rig.name: (rig, unseal(rig.truth, rig.digest)) for rig in todo}
-    tasks = (_to_score(proof, rig, truth) for rig, truth in by_name.values())
+    tasks = (_to_score(proof, rig, truth, engine) for rig, truth in by_name.values())
     results = engine.each(partial(fitted, oracle=oracle, floors=floors), tasks)
     for fits in _told(results, len(todo), len(proof.rigs), lambda r: f"{r.name} scored", progress):
         rig, truth = by_name[fits.name]
@@ -385,10 +403,10 @@ class ToScore(NamedTuple):
 
     name: str
     # Campaign of the rig if the true structure is fitted to it, else None.
-    campaign: Path | None
+    campaign: Path | Bundle | None
     names: Sequence[str]  # true effects of the rig
     # Campaign of the rig without its effects, or None if there is none.
-    reference: Path | None
+    reference: Path | Bundle | None
 
 
 class Fits(NamedTuple):
@@ -399,22 +417,27 @@ class Fits(NamedTuple):
     floor: Mapping[str, float] | None
 
 
-def _to_score(proof: Proof, rig: Sealed, truth: Truth) -> ToScore:
+def _to_score(proof: Proof, rig: Sealed, truth: Truth, engine: Engine) -> ToScore:
     refused = read_json(proof.file(DIAGNOSES, rig))["verdict"] == REFUSED
     asked = truth.kind in ("one", "two") and not refused
     beside = is_file(rig.reference) and not refused
     return ToScore(
         rig.name,
-        rig.campaign if asked else None,
+        given(rig.campaign, engine) if asked else None,
         list(truth.scored),
-        rig.reference if beside else None,
+        given(rig.reference, engine) if beside else None,
     )
 
 
 def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
     """Fit the true structure to a rig, and the nominal model to that rig without its effects."""
-    held = None if task.campaign is None else oracle(task.campaign, task.names)
-    floor = None if task.reference is None else floors(task.reference)
+    held = floor = None
+    if task.campaign is not None:
+        with unpacked(task.campaign) as campaign:
+            held = oracle(campaign, task.names)
+    if task.reference is not None:
+        with unpacked(task.reference) as campaign:
+            floor = floors(campaign)
     return Fits(task.name, held, floor)
 
 

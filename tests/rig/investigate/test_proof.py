@@ -18,7 +18,7 @@ from rig.investigate.investigation import Experiment, State
 from rig.investigate.proof import SimulatedInvestigation
 from rig.results.document import text
 from rig.results.prove.draw import OUTSIDE_SIZES, assignment, draw
-from rig.results.prove.engine import Engine
+from rig.results.prove.engine import Processes
 from rig.results.prove.score import rate
 
 
@@ -53,14 +53,14 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     monkeypatch.setattr(proof, "judge_recordings", lambda *_: SimpleNamespace(diagnosis=verdict))
     monkeypatch.setattr(SimulatedInvestigation, "strength", lambda _: 5.0)
     begun = proof.begin(tmp_path, 2, 4)
-    rows = proof.work(begun, Engine(1), quiet)
+    rows = proof.work(begun, Processes(1), quiet)
     assert [(r["kind"], r["state"], r["repeated"]) for r in rows] == [
         ("one", "missed", "missed")
     ] * 2
     assert [r["sha256"] for r in rows] == [s.digest for s in begun.rigs]
     assert [len(one.state.experiments) for one in ran] == [1, 1]
     ran.clear()
-    assert proof.work(proof.begin(tmp_path, 2, 4), Engine(1), quiet) == rows
+    assert proof.work(proof.begin(tmp_path, 2, 4), Processes(1), quiet) == rows
     assert ran == []
     found = proof.figures(rows)
     assert found["missed"] == found["missed_all"] == rate(2, 2)
