@@ -1,22 +1,16 @@
-"""What a planned experiment determines, and the shares of excitations."""
+"""What a planned experiment determines."""
 
 import math
 
 import numpy as np
 import pytest
 
-from identification.design.search import Excitation, best_shares
 from identification.design.simulated import (
-    NAMES,
-    NOTHING,
-    Information,
     PlannedModel,
     PlannedStage,
     Sensors,
     expected,
-    intervals_of,
     recorded,
-    stage_information,
     with_drives,
 )
 from identification.estimate.default import identify
@@ -33,10 +27,6 @@ MOMENT = 10.0 * 30.6 * 9.80665 * 0.095
 
 def nominal(noise: float = NOISE, step: float = 2.0 * np.pi / 409600.0) -> PlannedModel:
     return PlannedModel(NOMINAL, BENCH, Sensors(PERIOD, step, noise), 75.0)
-
-
-def information(stage: PlannedStage, model: PlannedModel | None = None) -> Information:
-    return stage_information(stage, with_drives(model or nominal()))
 
 
 def command(amplitude_deg: float, frequency: float, seconds: float = 20.0) -> Array:
@@ -76,7 +66,7 @@ def test_a_shaft_below_its_static_limit_stays() -> None:
 
 def test_noise_and_encoder_widen_intervals() -> None:
     fine, noisy, coarse = (
-        intervals_of([information(figure10(0.0, 12.0), model)], loaded=False)
+        expected([figure10(0.0, 12.0)], with_drives(model))[0]
         for model in (nominal(), nominal(noise=3.0 * NOISE), nominal(step=2.0 * np.pi / 102400.0))
     )
     assert noisy.half_widths["sigma_2"] > 2.0 * fine.half_widths["sigma_2"]
@@ -84,53 +74,14 @@ def test_noise_and_encoder_widen_intervals() -> None:
     assert 0.0 < fine.worst < 0.05
 
 
-def test_loaded_parameters_need_a_load() -> None:
-    free, heavy = (information(figure10(w, 10.0)) for w in (0.0, 30.6))
-    alone = intervals_of([free], loaded=True)
-    both = intervals_of([free, heavy], loaded=True)
+def test_one_load_does_not_separate_its_friction_from_that_of_the_system() -> None:
+    alone, both = (
+        expected([figure10(weight, 10.0) for weight in weights], with_drives(nominal()))[0]
+        for weights in ((30.6,), (0.0, 30.6))
+    )
+    assert math.isinf(alone.half_widths["Mc"])
     assert math.isinf(alone.half_widths["mu_c"])
-    assert alone.weakest in ("mu_c", "mu_s", "omega_sL", "mu_2")
-    assert all(math.isfinite(w) for w in both.half_widths.values())
-    one_load = intervals_of([heavy], loaded=True)
-    assert math.isinf(one_load.half_widths["Mc"])
-
-
-def test_one_breakaway_says_nothing() -> None:
-    ramp = PlannedStage(0.05 * PERIOD * np.arange(4000), 0.0)
-    assert information(ramp) is NOTHING
-    assert all(math.isinf(w) for w in intervals_of([NOTHING], loaded=False).half_widths.values())
-
-
-def rates(*diagonals: tuple[float, ...]) -> list[Information]:
-    found = []
-    for diagonal in diagonals:
-        normal = np.zeros((len(NAMES), len(NAMES)))
-        normal[:5, :5] = np.diag(diagonal)
-        found.append(Information(normal, normal, normal))
-    return found
-
-
-def test_shares_are_those_of_neyman() -> None:
-    known = rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0))
-    others, target = np.sqrt(4 * 0.04 / 1.0), np.sqrt(1.0 / 4.0)
-    expected = np.array([others, target]) / (others + target)
-    assert best_shares(known, "J", loaded=False) == pytest.approx(expected, rel=1e-3)
-    # What each gets in any case counts toward its share.
-    for least in (0.1, expected[0] + 0.2):
-        share = best_shares(known, "J", loaded=False, least=np.array([least, 0.0]))
-        held = max(least, expected[0])
-        assert share == pytest.approx([held, 1.0 - held], rel=1e-2)
-
-
-def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
-    sine = Excitation(((0.1, 0.35),), 5.0, 0.0)
-    lasting = sine.lasting(10.2)
-    assert lasting.seconds == pytest.approx(7 / 0.7)
-    assert sine.lasting(7 / 0.7).seconds == lasting.seconds
-    assert sine.lasting(0.1).seconds == pytest.approx(1 / 0.7, abs=1e-3)
-    assert lasting.fade == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
-    assert Excitation(((0.4, 2.0),), 0.0, 10.0).fade == 1.0
-    assert Excitation(((0.4, 2.0),), 0.0, 1.0).fade == 0.25  # two of them lie inside
+    assert all(math.isfinite(width) for width in both.half_widths.values())
 
 
 @pytest.mark.proof
