@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 1500
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand one-model
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix process-matrix moments realtime fuzz mutants long clean prove-worlds makes units console proofs durand one-model
 .DEFAULT_GOAL := help
 
 help:
@@ -70,9 +70,6 @@ test: $(VENV)/.dev  ## lint, types, import directions, tests
 proofs: $(VENV)/.dev  ## accuracy on whole benches and recordings, which make test leaves out; properties with new examples
 	$(BIN)/pytest -n auto --dist worksteal -m proof
 	HYPOTHESIS_PROFILE=random $(BIN)/pytest -n auto --dist worksteal -m "hypothesis and not proof"
-
-plan-study: $(VENV)/.runtime  ## what proposed experiments gain on random benches
-	$(BIN)/python benchmarks/plan_study.py --benches 20
 
 long: $(VENV)/.runtime  ## time and memory of recordings from 1e4 to 3.6e7 samples
 	$(BIN)/python benchmarks/long_recording.py
@@ -150,9 +147,7 @@ console: $(VENV)/.dev  ## from STOP on the page to the drive read back off, and 
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --wire slcan --wire socketcand --wire dbc --wire serial
-	$(BIN)/python benchmarks/console.py latency --presses 100 --realtime --making
 	$(BIN)/python benchmarks/console.py lateness
-	$(BIN)/python benchmarks/console.py lateness --making
 
 fuzz: $(VENV)/.dev  ## a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format
 	$(BIN)/python -m tests.long.fuzz

@@ -1,9 +1,9 @@
 """From STOP on the page to the drive read back as off, and the lateness of the control loop with
 pages that watch and without.
 
-python benchmarks/console.py latency [--bench BENCH ...] [--presses 100] [--realtime] [--making]
-python benchmarks/console.py latency --wire WIRE ... [--presses 100] [--making]
-python benchmarks/console.py lateness [--seconds 80] [--making]
+python benchmarks/console.py latency [--bench BENCH ...] [--presses 100] [--realtime]
+python benchmarks/console.py latency --wire WIRE ... [--presses 100]
+python benchmarks/console.py lateness [--seconds 80]
 python benchmarks/console.py crowd [--presses 20] [--connections 300]
 
 A console, the runs and this script are processes of their own. A press is a POST request, as the
@@ -11,8 +11,7 @@ page sends it; it goes from the console through the run's control socket to the 
 times are of the monotonic clock of this computer, which its processes share.
 
 With --wire the bench is one more process, behind pseudo-terminals or a loopback socket, and states
-when the power stage of its drive went off. With --making the console makes comparisons of recorded
-runs all the time.
+when the power stage of its drive went off.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,6 @@ from rig.common.tables import table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.long.benches import TRANSPORTS, Bench, bench_process
-from tests.rig.console.histories import write_history
 
 BENCHES = ("practical", "practical_serial", "odrive_can")
 SPREAD_S = 1.2
@@ -65,23 +63,20 @@ class Desk:
     Attributes:
         console: The console.
         lines: The lines of the process that runs.
-        made: Seconds that each comparison took.
     """
 
     console: Console
     lines: Iterator[dict[str, Any]]
-    made: list[float] = field(default_factory=list)
 
 
 @contextmanager
 def started(
-    bench: str, count: int, realtime: bool, log: bool, making: bool, wire: Bench | None = None
+    bench: str, count: int, realtime: bool, log: bool, wire: Bench | None = None
 ) -> Iterator[Desk]:
     """Start a console and a process that runs."""
     with ExitStack() as stack:
         runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="rig-", dir="/tmp"))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        names = write_history(folder / "runs", 6, step=3.0)
         environment = {} if wire is None else wire.env
         console = Console(runtime, str(folder / "runs"), environment)
         stack.callback(console.process.wait)
@@ -103,25 +98,16 @@ def started(
         # A process that is told to stop begins its next run: it has to be killed.
         stack.callback(run.kill)
         assert run.stdout is not None
-        desk = Desk(console, map(json.loads, run.stdout))
-        if making:
-            ending = threading.Event()
-            maker = threading.Thread(target=console.make, args=(names, ending, desk.made))
-            maker.start()
-            stack.callback(maker.join)
-            stack.callback(ending.set)
-        yield desk
+        yield Desk(console, map(json.loads, run.stdout))
 
 
-def latency(
-    bench: str, presses: int, realtime: bool, making: bool, wire: Bench | None = None
-) -> list[str]:
+def latency(bench: str, presses: int, realtime: bool, wire: Bench | None = None) -> list[str]:
     """Press STOP in many runs, each at a random moment of its motion; return a row of the table."""
     chance = random.Random(0)
     off, answered, device = [], [], []
     phases, unverified, unconfirmed, faults, ended = Counter[str](), 0, 0, 0, 0
     parts: list[list[float]] = [[], [], []]
-    with started(bench, presses, realtime, False, making, wire) as desk:
+    with started(bench, presses, realtime, False, wire) as desk:
         for _ in range(presses):
             run = next(desk.lines)["run"]
             if "phase" not in (begun := next(desk.lines)) or "known_ns" in begun:
@@ -163,7 +149,6 @@ def latency(
         str(unconfirmed),
         str(faults),
         str(ended),
-        str(len(desk.made)),
         ", ".join(f"{name} {n}" for name, n in phases.most_common()),
     ]
 
@@ -173,19 +158,19 @@ def latencies(given: argparse.Namespace) -> None:
     rows = []
     for wire in given.wire or ():
         with bench_process(wire) as bench:
-            rows.append(latency(wire, given.presses, True, given.making, bench))
+            rows.append(latency(wire, given.presses, True, bench))
     for name in given.bench or (() if given.wire else BENCHES):
-        rows.append(latency(name, given.presses, given.realtime, given.making))
+        rows.append(latency(name, given.presses, given.realtime))
     heads = ["bench", "time", "presses", "p50 ms", "p99 ms", "most ms", "at the device p99"]
     heads += ["answer p99 ms", "to the loop p50, p99", "ramp", "off and read back"]
-    heads += ["not off", "not confirmed", "fault meanwhile", "ended before", "pages made", "phases"]
+    heads += ["not off", "not confirmed", "fault meanwhile", "ended before", "phases"]
     print(table(heads, rows, right=list(range(2, len(heads) - 1))))
     _print_load()
 
 
-def lateness(seconds: float, making: bool) -> None:
+def lateness(seconds: float) -> None:
     """Print the lateness of one run in parts with and without pages, and the console's load."""
-    with started("practical", 1, True, True, making) as desk:
+    with started("practical", 1, True, True) as desk:
         console = desk.console
         run = next(desk.lines)["run"]
         next(desk.lines)
@@ -230,8 +215,6 @@ def lateness(seconds: float, making: bool) -> None:
     print(f"cycles: {before.sum()} without, {inside.sum()} with {PAGES} pages")
     print(f"sent to each page: {np.mean(counts) / (WATCHED_S + 1.0) / 1e3:.0f} kB/s")
     print(f"load of the console with {PAGES} pages: {100 * float(np.mean(load)):.1f} % of a core")
-    if making:
-        print(f"comparisons made meanwhile: {len(desk.made)}, {np.median(desk.made):.1f} s each")
     _print_load()
 
 
@@ -241,7 +224,7 @@ def crowds(presses: int, count: int) -> None:
     """
     rows = []
     for kind in ("none", "idle", "requests", "pages", "pages with the token"):
-        with started("practical", presses, True, False, False) as desk, ExitStack() as stack:
+        with started("practical", presses, True, False) as desk, ExitStack() as stack:
             if kind != "none":
                 token = desk.console.token if kind.endswith("token") else ""
                 ending = threading.Event()
@@ -283,14 +266,13 @@ def main() -> None:
     parser.add_argument("--wire", action="append", choices=sorted(TRANSPORTS))
     parser.add_argument("--presses", type=int, default=100)
     parser.add_argument("--realtime", action="store_true")
-    parser.add_argument("--making", action="store_true")
     parser.add_argument("--seconds", type=float, default=80.0)
     parser.add_argument("--connections", type=int, default=300)
     given = parser.parse_args()
     if given.what == "crowd":
         crowds(given.presses, given.connections)
     elif given.what == "lateness":
-        lateness(given.seconds, given.making)
+        lateness(given.seconds)
     else:
         latencies(given)
 

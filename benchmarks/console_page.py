@@ -7,7 +7,6 @@ import collections
 import http.client
 import json
 import os
-import queue
 import re
 import select
 import selectors
@@ -50,10 +49,10 @@ class Console:
         words = self._post("/command", {"page": "", "run": run, "command": "stop"})
         return pressed, time.monotonic_ns(), words
 
-    def _post(self, path: str, body: Mapping[str, object], timeout_s: float = 10.0) -> str:
+    def _post(self, path: str, body: Mapping[str, object]) -> str:
         self._number += 1
         host = f"127.0.0.1:{self.port}"
-        connection = http.client.HTTPConnection(host, timeout=timeout_s)
+        connection = http.client.HTTPConnection(host, timeout=10.0)
         heads = {
             "Origin": f"http://{host}",
             "Authorization": f"Bearer {self.token}",
@@ -64,15 +63,9 @@ class Console:
         connection.close()
         return words
 
-    def watch(
-        self,
-        ending: threading.Event,
-        counts: list[int],
-        token: str = "",
-        keys: queue.Queue[str] | None = None,
-    ) -> None:
-        """Read all that a page is sent until the event; add its bytes to ``counts``, and put the
-        key of the page into ``keys``.
+    def watch(self, ending: threading.Event, counts: list[int]) -> None:
+        """Read all that a page without the token is sent until the event; add its bytes to
+        ``counts``.
         """
         host = f"127.0.0.1:{self.port}"
         with socket.create_connection(("127.0.0.1", self.port)) as page:
@@ -83,18 +76,12 @@ class Console:
                 f"Sec-WebSocket-Key: {key}\r\n\r\n".encode()
             )
             page.recv(4096)
-            for message in ({"token": token}, {"window_s": 30, "pixels": 500}):
+            for message in ({"token": ""}, {"window_s": 30, "pixels": 500}):
                 page.sendall(_frame(json.dumps(message).encode()))
-            count, said = 0, b""
+            count = 0
             while not ending.is_set():
                 if select.select([page], [], [], 0.5)[0]:
-                    data = page.recv(1 << 16)
-                    count += len(data)
-                    if keys is not None:
-                        said += data
-                        if (found := re.search(rb'"page": "([^"]+)"', said)) is not None:
-                            keys.put(found[1].decode())
-                            keys = None
+                    count += len(page.recv(1 << 16))
         counts.append(count)
 
     def crowd(self, kind: str, count: int, token: str, ending: threading.Event) -> None:
@@ -146,24 +133,6 @@ class Console:
                 connection = key.fileobj
                 assert isinstance(connection, socket.socket)
                 connection.close()
-
-    def make(self, runs: list[str], ending: threading.Event, made: list[float]) -> None:
-        """Have comparisons of runs made, one after the other, until the event; add the seconds that
-        each took to ``made``.
-        """
-        keys: queue.Queue[str] = queue.Queue()
-        reading = threading.Thread(target=self.watch, args=(ending, [], self.token, keys))
-        reading.start()
-        key = keys.get()
-        while not ending.is_set():
-            began = time.monotonic()
-            # A console that is being ended closes the connection.
-            with suppress(OSError, http.client.HTTPException):
-                words = self._post("/compare", {"page": key, "runs": runs}, 200.0)
-                if "/made/" not in words:
-                    raise SystemExit(f"no page was made: {words}")
-                made.append(time.monotonic() - began)
-        reading.join()
 
 
 def _frame(data: bytes) -> bytes:

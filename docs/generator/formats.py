@@ -83,8 +83,7 @@ ROWS = (
         "`group.channel`, `group.time`; without the group name if there is one group; "
         "`channel[0]` of an array",
         "versions 2, 3 and 4; conversions; either byte order; invalidation bits (missing samples); "
-        "labels as raw numbers; groups at several rates; bus logging with `read.dbc` or "
-        "`read.bench`",
+        "labels as raw numbers; groups at several rates; bus logging with `read.dbc`",
         "text; an angle or an index as the master channel, which is no clock",
     ),
     _Row(
@@ -136,14 +135,14 @@ ROWS = (
     _Row(
         ("log", "asc", "blf", "trc"),
         "python-can and cantools",
-        "`Message.Signal`, `Message.time`; with a bench file the channels in SI units",
+        "`Message.Signal`, `Message.time`",
         "candump -L, Vector ASC and BLF, PEAK TRC 1.0, 1.1, 1.3, 2.0, 2.1; 11 and 29 bits, CAN FD; "
         "either byte order; multiplexed signals, also in several levels, each page with its own "
         "`time`; SAE J1939 by parameter group; `read.bus`, else messages of several buses with the "
         "bus before the name; frames that are too short lack the signals beyond their end; error "
         "frames, remote frames and frames of other messages are counted; stamps since an event "
         "before are added up; stamps are since the first frame",
-        "traffic without a map (`read.dbc` or `read.bench`); two messages of one identifier; "
+        "traffic without a map (`read.dbc`); two messages of one identifier; "
         "containers and signals of more than 64 bits; a line that is no frame of candump -L",
     ),
 )

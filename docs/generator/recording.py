@@ -71,8 +71,7 @@ METADATA = (
     ("run", "Name, creation time, seed and operator of the run; number of this recording in it."),
     (
         mcap_layout.CLOCK_METADATA,
-        "`zero_ns`: start of the recording by the host's monotonic clock, ns. In a recording "
-        "without it, of an earlier version, the times of the raw frames are those of that clock.",
+        "`zero_ns`: start of the recording by the host's monotonic clock, ns.",
     ),
     ("versions", "Version of this program, of Python and of the libraries that it uses."),
     ("sha256", "SHA-256 of bench, sequence, EDS, DBC and feed-forward files."),

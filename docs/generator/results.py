@@ -18,7 +18,6 @@ from keys import table
 from drivers.interfaces import Identity, ServoLimits
 from identification.diagnosis import result as diagnosis
 from identification.estimate.fleet import Fleet, Odd, Population, Value
-from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
 from identification.numerics.arrays import RANGED
@@ -59,10 +58,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:comparison_record",
     ),
     "rig identify of several units: fleet.json": ("rig.results.fleet:fleet_record",),
-    "rig identify --plan: plan file": (
-        "rig.results.identify.design:plan_record",
-        "rig.results.identify.design:_intervals_record",
-    ),
+    "rig identify --plan: plan file": ("rig.results.identify.plan:plan_record",),
     "rig diagnose: diagnose.json": (
         "identification.diagnosis.result:Diagnosis.to_dict",
         "rig.results.diagnose.model_file:diagnosis_record",
@@ -74,7 +70,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
-        "rig.results.identify.simulate:_case_record",
         "rig.results.identify.simulate:_sums_record",
         "rig.results.identify.simulate:_record_errors",
     ),
@@ -118,10 +113,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.study:study_record",
         "rig.results.catalogue.study:_about",
     ),
-    "rig runs verify --json": (
-        "rig.results.catalogue.listing:verification_record",
-        "rig.results.catalogue.listing:_run_record",
-    ),
     "rig runs accept: acceptance.json": ("rig.results.acceptance.certificate:acceptance_record",),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
@@ -154,7 +145,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig identify: identify.json": (
         *(Convergence, Fit, KnownConstant, MeasuredNoise, Parameter, Prior, Profile, Resampled),
-        *(Starts, Tradeoff, Constant, Contender, Interval, Spread),
+        *(Starts, Tradeoff, Constant, Contender, Spread),
     ),
     "rig diagnose: diagnose.json": (
         *(diagnosis.Curve, diagnosis.Estimate, diagnosis.Fit, diagnosis.IdentifiedEffect),

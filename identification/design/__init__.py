@@ -1,3 +1,1 @@
-"""Designs experiments: computes the information of a planned excitation, and searches for a better
-excitation.
-"""
+"""Designs experiments: what a planned one determines, and which one separates hypotheses best."""

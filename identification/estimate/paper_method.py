@@ -18,8 +18,9 @@ from identification.model.parameters import LOAD_PARAMETERS, PAPER_FRICTION, SYS
 from identification.numerics.arrays import Array, Progress
 from identification.numerics.least_squares import Design
 from identification.numerics.optimisers import (
+    GENERATIONS,
+    POPULATION,
     GeneticAlgorithm,
-    GeneticSettings,
     cma_es,
     differential_evolution,
     genetic_algorithm,
@@ -91,8 +92,6 @@ class TorqueMisfit:
 
 TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
 """Fitness at which the search of each stage stops early, N m (Sec. 4.2.1, 4.2.2)."""
-POPULATION = 40
-GENERATIONS = 1000
 _AT_BOUND = 1e-3  # distance from a bound, relative to the width of the box
 
 STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
@@ -222,8 +221,7 @@ class _Search:
             samples.torque, samples.velocity, samples.acceleration, samples.load, alpha
         )
         low, high = zip(*box.values(), strict=True)
-        settings = GeneticSettings(population=POPULATION, generations=self.generations)
-        algorithm = GeneticAlgorithm(low, high, self.rng, settings)
+        algorithm = GeneticAlgorithm(low, high, self.rng, self.generations)
         target = TARGETS[stage]
         costs: list[float] = []
         history: list[Array] = []

@@ -11,7 +11,6 @@ import numpy as np
 
 from identification.estimate.bandwidth import choose_bandwidth
 from identification.estimate.default import by_load, solve_stages
-from identification.estimate.ladder import REPLICATES, Interval, draw_interval
 from identification.model.parameters import (
     DIRECTIONAL,
     DRIVE_SHARE,
@@ -24,7 +23,6 @@ from identification.numerics.compiled import each
 from identification.numerics.least_squares import (
     Box,
     Minimum,
-    bounded_step,
     huber_weight,
     minimise_within,
 )
@@ -338,8 +336,6 @@ TOLERANCE, MOST_STEPS = 1e-3, 40
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
 """Tolerance and steps of the first search from each start; only the best is continued."""
 FOLDS = 3
-_RIDGE = 1e-3
-"""Damping of the step to drawn recordings, against changes that hardly change the angle."""
 
 
 @dataclass(frozen=True)
@@ -430,21 +426,6 @@ def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:
     return np.array(list(normals.values())), np.array(list(gradients.values()))
 
 
-def drawn(found: LoopFit, normals: Array, gradients: Array, counts: Array) -> Array:
-    """Return the coordinates after one Gauss-Newton step on drawn recordings, shape (p,).
-
-    ``normals``: normal matrix of each recording, shape (m, p, p). ``gradients``: gradient of each
-    recording, shape (m, p). ``counts``: number of times that each recording was drawn, shape (m,).
-    """
-    c = found.coordinates
-    prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
-    normal = np.tensordot(counts, normals, 1) + np.diag(prior)
-    # The sum of all gradients is zero at the minimum, except at bounds and within the tolerance of
-    # the search.
-    gradient = (counts - 1.0) @ gradients
-    return found.x + bounded_step(normal, gradient, _RIDGE, found.x, c.box)
-
-
 def _searched(pieces: Sequence[Piece], begun: LoopFit, rule: tuple[float, int]) -> Minimum:
     """Search from ``begun``; ``rule`` is the tolerance and the greatest number of steps."""
     c = begun.coordinates
@@ -522,18 +503,16 @@ class Constant:
         return not self.low <= self.declared <= self.high
 
 
-def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[Constant, ...]:
+def constants(pieces: Sequence[Piece], found: LoopFit) -> tuple[Constant, ...]:
     """Return the motor constants of a fit in which they were free.
 
     The interval is the wider of two intervals: from the curvature of cost and priors at the
-    minimum, and from the fits to drawn recordings.
-
-    ``points``: coordinates of the drawn fits, shape (r, p).
+    minimum, and from the scatter of the recordings' gradients there (sandwich).
     """
     c = found.coordinates
     if not c.prior:
         return ()
-    normals, _ = pulls(pieces, found)
+    normals, gradients = pulls(pieces, found)
     prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
     inner = (found.x > c.box.low) & (found.x < c.box.high)
     curvature = (np.sum(normals, axis=0) + np.diag(prior))[np.ix_(inner, inner)]
@@ -543,11 +522,11 @@ def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[C
     km, r = bench.torque_constant, bench.resistance
     assert km is not None
     assert r is not None
-    freedom = len({p.recording.name for p in pieces}) - 1.0
+    count = len(gradients)
     scatter = np.zeros_like(covariance)
-    if len(points) > 1:
-        scatter = np.atleast_2d(np.cov(points, rowvar=False))
-    both = [Spread(c.names, each, max(freedom, 1.0)) for each in (covariance, scatter)]
+    if count > 1:
+        scatter = covariance @ (count * np.cov(gradients, rowvar=False)) @ covariance
+    both = [Spread(c.names, each, max(count - 1.0, 1.0)) for each in (covariance, scatter)]
     at = dict(zip(c.names, found.x, strict=True))
     rows: tuple[tuple[str, str, float, float | None, dict[str, float]], ...] = (
         (KM, "N m/A", km, c.prior[KM], {KM: 1.0}),
@@ -579,17 +558,16 @@ class SimulatedRung:
     free: bool  # whether the motor constants were free within their priors
     alpha: float  # Stribeck exponent
     fitted: Mapping[str, float]  # parameters by name, SI; `lateness` of the command, s
-    train: Interval  # mean absolute angle error on the fitted recordings, rad (m)
+    train: float  # mean absolute angle error on the fitted recordings, rad (m)
     # Cross-validated error: mean absolute angle error on each third of the fitted recordings,
     # predicted with a fit to the other two thirds, rad (m). NaN for a single recording; then no
     # rung is chosen.
     crossed: float
     # Mean absolute angle error on the recordings with role `validate`, rad (m), or None without
     # such recordings.
-    scored: Interval | None
+    scored: float | None
     constants: tuple[Constant, ...]  # motor constants and their changes; empty if they were fixed
     horizon_s: float  # longest prediction, s
-    best: float  # share of the draws in which this fit has the least error on the scored recordings
     chosen: bool  # whether the fit has the least cross-validated error of all fits of equal `free`
     # Whether the cross-validated error exceeds the least cross-validated error by no more than the
     # uncertainty of the difference.
@@ -599,33 +577,29 @@ class SimulatedRung:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Data of all rungs: pieces to fit and to score, and draws of recordings."""
+    """Data of all rungs: pieces to fit and to score."""
 
     dataset: Dataset
     fitted: Sequence[Piece]
     scored: Sequence[Piece]
     scales: Scales
     values: Mapping[str, Mapping[str, float]]
-    draws: Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class _Case:
-    """One fit with its bootstrap draws; ``crossed`` has errors and samples, (m, 2)."""
+    """One fit with its errors; ``crossed`` has errors and samples, (m, 2)."""
 
     found: LoopFit
     crossed: Array
-    points: Array
-    train: tuple[float, Array]
-    scored: tuple[float, Array]
+    train: float
+    scored: float
 
 
 def climb_simulated(
     dataset: Dataset,
     *,
     bandwidth_Hz: float | None,
-    rng: np.random.Generator,
-    replicates: int = REPLICATES,
     progress: Progress | None = None,
 ) -> tuple[SimulatedRung, ...]:
     """Fit every rung to the simulated angle, with fixed and with free motor constants, and score
@@ -633,7 +607,6 @@ def climb_simulated(
 
     ``dataset``: unloaded recordings with an angle, and a controller or a measured drive.
     ``bandwidth_Hz``: bandwidth of the equation error, which gives the start values of the searches.
-    ``replicates``: number of draws.
 
     Returns:
         One record for each fit. The list is empty unless each recording is unloaded and has an
@@ -644,7 +617,7 @@ def climb_simulated(
     tell = progress or silent
     if not all(map(predictable, dataset.recordings)):
         return ()
-    problem = _problem(dataset, bandwidth_Hz, rng, replicates)
+    problem = _problem(dataset, bandwidth_Hz)
     hanging = any(p.recording.pendulum is not None for p in problem.fitted)
     rungs = [r for r in SIMULATED if hanging or not bears_load(r)]
     plan = [(rung, free) for rung in rungs for free in (False, True)]
@@ -676,9 +649,7 @@ def predictable(recording: Recording) -> bool:
     )
 
 
-def _problem(
-    dataset: Dataset, bandwidth_Hz: float | None, rng: np.random.Generator, replicates: int
-) -> _Problem:
+def _problem(dataset: Dataset, bandwidth_Hz: float | None) -> _Problem:
     dataset, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
     to_fit = dataset.part("fit")
     to_score = dataset.part("validate") or to_fit
@@ -697,7 +668,6 @@ def _problem(
         scored=[piece for p in aside for piece in pieces_of(p)],
         scales=_scales(active, values["stribeck"]["J"]),
         values=values,
-        draws=[(_counts(rng, len(to_fit)), _counts(rng, len(to_score))) for _ in range(replicates)],
     )
 
 
@@ -743,21 +713,11 @@ def _carried(end: LoopFit, axes: Coordinates) -> Array:
 
 def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Case:
     found = fit_loop(problem.fitted, axes, starts)
-    crossed = _crossed(problem, found)
-    normals, gradients = pulls(problem.fitted, found)
-    points = np.array([drawn(found, normals, gradients, counts) for counts, _ in problem.draws])
-    train = _by_recording(problem.fitted, found, found.x)
-    scored = _by_recording(problem.scored, found, found.x)
-    trained, tested = [], []
-    for x, (fit, score) in zip(points, problem.draws, strict=True):
-        trained.append(_drawn_mean(problem.fitted, found, x, fit))
-        tested.append(_drawn_mean(problem.scored, found, x, score))
     return _Case(
         found,
-        crossed,
-        points,
-        (_mean(train, np.ones(len(train))), np.array(trained)),
-        (_mean(scored, np.ones(len(scored))), np.array(tested)),
+        _crossed(problem, found),
+        _mean(_by_recording(problem.fitted, found, found.x)),
+        _mean(_by_recording(problem.scored, found, found.x)),
     )
 
 
@@ -802,51 +762,30 @@ def _by_recording(pieces: Sequence[Piece], found: LoopFit, x: Array) -> Array:
     return np.array(list(sums.values()))
 
 
-def _drawn_mean(pieces: Sequence[Piece], found: LoopFit, x: Array, counts: Array) -> float:
-    """Return the mean absolute error on drawn recordings; the others are not simulated."""
-    names = list(dict.fromkeys(p.recording.name for p in pieces))
-    taken = {name for name, count in zip(names, counts, strict=True) if count}
-    sums = np.zeros((len(names), 2))
-    sums[counts > 0.0] = _by_recording([p for p in pieces if p.recording.name in taken], found, x)
-    return _mean(sums, counts)
-
-
-def _mean(sums: Array, counts: Array) -> float:
-    total, samples = counts @ sums
-    return float(total / samples)
-
-
-def _counts(rng: np.random.Generator, size: int) -> Array:
-    return np.bincount(rng.integers(0, size, size=size), minlength=size).astype(np.float64)
+def _mean(sums: Array) -> float:
+    return float(np.sum(sums[:, 0]) / np.sum(sums[:, 1]))
 
 
 def _rungs(problem: _Problem, cases: Mapping[tuple[str, bool], _Case]) -> Iterator[SimulatedRung]:
     aside = bool(problem.dataset.part("validate"))
-    table = np.array([case.scored[1] for case in cases.values()])
-    winners = np.argmin(table, axis=0) if table.size else np.array([])
-    for k, ((rung, free), case) in enumerate(cases.items()):
+    for (rung, free), case in cases.items():
         rivals = [c for (_, other), c in cases.items() if other == free]
-        least = min(rivals, key=lambda c: _crossed_error(c.crossed))
+        least = min(rivals, key=lambda c: _mean(c.crossed))
         point = case.found.point
         yield SimulatedRung(
             friction=rung,
             free=free,
             alpha=problem.dataset.model.alpha,
             fitted={**point.values, LATENESS: point.lateness},
-            train=draw_interval(*case.train),
-            crossed=_crossed_error(case.crossed),
-            scored=draw_interval(*case.scored) if aside else None,
-            constants=constants(problem.fitted, case.found, case.points),
+            train=case.train,
+            crossed=_mean(case.crossed),
+            scored=case.scored if aside else None,
+            constants=constants(problem.fitted, case.found),
             horizon_s=max(float(p.inputs.time[-1] - p.inputs.time[0]) for p in problem.fitted),
-            best=float(np.mean(winners == k)),
-            chosen=case is least and math.isfinite(_crossed_error(case.crossed)),
+            chosen=case is least and math.isfinite(_mean(case.crossed)),
             tied=_tied(case.crossed, least.crossed),
             ends=case.found.ends,
         )
-
-
-def _crossed_error(sums: Array) -> float:
-    return float(np.sum(sums[:, 0]) / np.sum(sums[:, 1]))
 
 
 def _tied(sums: Array, least: Array) -> bool:

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from identification.design.propose import expected
 from identification.design.simulated import (
     NAMES,
     Intervals,
     PlannedModel,
     PlannedStage,
     Sensors,
+    expected,
     with_drives,
 )
 from identification.diagnosis import diagnose as diagnosis

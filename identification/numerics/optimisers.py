@@ -7,7 +7,6 @@ costs or residuals of the problem.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -16,35 +15,11 @@ from scipy import optimize
 
 from identification.numerics.arrays import Array
 
-
-@dataclass(frozen=True)
-class GeneticSettings:
-    """Settings of a search: defaults of the paper (Sec. 4.2), else of the toolbox."""
-
-    population: int = 40  # number of individuals per generation
-    # Share of the children, elite individuals excluded, that crossover makes; mutation makes the
-    # remaining children.
-    crossover_fraction: float = 0.8
-    elite: int = 2  # number of best individuals that pass to the next generation unchanged
-    # Standard deviation of the first generation's mutation over the width of the box.
-    mutation_scale: float = 1.0
-    # Share by which the standard deviation of the mutation falls, linearly, up to the last
-    # generation.
-    mutation_shrink: float = 1.0
-    # Number of generations, the first random generation included, after which the search stops.
-    generations: int = 1000
-
-    def __post_init__(self) -> None:
-        if (
-            not 0 <= self.elite < self.population
-            or not 0.0 <= self.crossover_fraction <= 1.0
-            or self.generations < 1
-        ):
-            raise ValueError(
-                f"population {self.population}, elite {self.elite}, crossover fraction "
-                f"{self.crossover_fraction}, generations {self.generations}: need 0 <= elite < "
-                f"population, a fraction in 0..1 and at least 1 generation"
-            )
+POPULATION, GENERATIONS = 40, 1000
+"""Settings of the genetic algorithm (paper, Sec. 4.2); the others are those of the toolbox."""
+_ELITE = 2  # number of best individuals that pass to the next generation unchanged
+_CROSSED = round(0.8 * (POPULATION - _ELITE))
+"""Number of children that crossover makes; mutation makes the remaining children."""
 
 
 class GeneticAlgorithm:
@@ -55,8 +30,8 @@ class GeneticAlgorithm:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
         rng: Source of all randomness.
-        settings: Population, operators and number of generations, or None for the settings of the
-            paper.
+        generations: Number of generations, the first random generation included, after which the
+            search stops.
     """
 
     def __init__(
@@ -64,32 +39,16 @@ class GeneticAlgorithm:
         low: ArrayLike,
         high: ArrayLike,
         rng: np.random.Generator,
-        settings: GeneticSettings | None = None,
+        generations: int = GENERATIONS,
     ) -> None:
         self.low = np.array(low, dtype=float)
         self.high = np.array(high, dtype=float)
-        if self.low.ndim != 1 or self.low.shape != self.high.shape or self.low.size == 0:
-            raise ValueError(
-                f"bounds have shapes {self.low.shape} and {self.high.shape}; give two arrays of "
-                "one shape (d,)"
-            )
-        if not np.all(np.isfinite(self.low) & np.isfinite(self.high) & (self.low < self.high)):
-            raise ValueError(
-                f"lower bounds {self.low} must be finite and below the upper bounds {self.high}"
-            )
-        settings = settings or GeneticSettings()
-        bred = settings.population - settings.elite
-        self.generations = settings.generations
+        self.generations = generations
         self.generation = 0
         self.best = np.full(self.low.size, np.nan)
         self.best_cost = np.inf
-        self._elite = settings.elite
-        self._crossed = round(settings.crossover_fraction * bred)
-        self._mutants = bred - self._crossed
-        self._scale = settings.mutation_scale
-        self._shrink = settings.mutation_shrink
         self._rng = rng
-        self._genes = rng.uniform(self.low, self.high, (settings.population, self.low.size))
+        self._genes = rng.uniform(self.low, self.high, (POPULATION, self.low.size))
 
     @property
     def stop(self) -> bool:
@@ -100,39 +59,32 @@ class GeneticAlgorithm:
         """Return the individuals to be evaluated, shape (population, d)."""
         return self._genes.copy()
 
-    def tell(self, costs: ArrayLike) -> None:
-        """Accept the costs of the individuals that :meth:`ask` returned last, and compute the next
-        generation.
-
-        Args:
-            costs: Shape (population,); infinite for an individual that cannot be evaluated.
+    def tell(self, costs: Array) -> None:
+        """Accept the costs of the individuals that :meth:`ask` returned last, shape (population,),
+        and compute the next generation.
         """
-        judged = np.asarray(costs, dtype=float)
-        if judged.shape != (len(self._genes),):
-            raise ValueError(f"costs have shape {judged.shape}; expected ({len(self._genes)},)")
-        if np.isnan(judged).any():
-            raise ValueError("a cost is NaN; give inf for an individual that cannot be evaluated")
-        order = np.argsort(judged, kind="stable")
-        if judged[order[0]] < self.best_cost:
-            self.best_cost = float(judged[order[0]])
+        order = np.argsort(costs, kind="stable")
+        if costs[order[0]] < self.best_cost:
+            self.best_cost = float(costs[order[0]])
             self.best = self._genes[order[0]].copy()
         self.generation += 1
         self._genes = self._breed(self._genes[order])
 
     def _breed(self, ranked: Array) -> Array:
-        """Return the next generation from the individuals ``ranked``, best first."""
-        parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
-        mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
+        """Return the next generation from the individuals ``ranked``, best first.
+
+        The standard deviation of the mutation falls linearly from the width of the box in the first
+        generation to zero in the last.
+        """
+        mutants = POPULATION - _ELITE - _CROSSED
+        parents = ranked[_select(POPULATION, 2 * _CROSSED + mutants, self._rng)]
+        mothers, fathers = parents[:_CROSSED], parents[_CROSSED : 2 * _CROSSED]
         inherit = self._rng.random(mothers.shape) < 0.5
         children = np.where(inherit, mothers, fathers)
-        deviation = (
-            self._scale
-            * (1.0 - self._shrink * self.generation / self.generations)
-            * (self.high - self.low)
-        )
-        originals = parents[2 * self._crossed :]
-        mutants = originals + deviation * self._rng.standard_normal(originals.shape)
-        return np.vstack([ranked[: self._elite], children, _reflect(mutants, self.low, self.high)])
+        deviation = (1.0 - self.generation / self.generations) * (self.high - self.low)
+        originals = parents[2 * _CROSSED :]
+        mutated = originals + deviation * self._rng.standard_normal(originals.shape)
+        return np.vstack([ranked[:_ELITE], children, _reflect(mutated, self.low, self.high)])
 
 
 def _select(
@@ -142,7 +94,7 @@ def _select(
     expectation = 1.0 / np.sqrt(np.arange(1, count + 1))
     line = np.cumsum(expectation) / expectation.sum()
     line[-1] = 1.0
-    marks = (rng.random() + np.arange(wanted)) / max(wanted, 1)
+    marks = (rng.random() + np.arange(wanted)) / wanted
     chosen = np.searchsorted(line, marks, side="right").astype(np.intp)
     return rng.permutation(chosen)
 
@@ -154,8 +106,6 @@ def _reflect(genes: Array, low: Array, high: Array) -> Array:
     return np.clip(low + np.minimum(folded, 2.0 * width - folded), low, high)
 
 
-POPULATION, GENERATIONS = 40, 1000
-"""Settings of the genetic algorithm (paper, Sec. 4.2)."""
 BUDGET = POPULATION * GENERATIONS  # greatest number of evaluations of the cost by an optimiser
 STARTS = 20  # number of random starts of the least-squares optimiser
 _FIRST_SIGMA = 0.3  # share of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
@@ -178,8 +128,7 @@ class BoxProblem(Protocol):
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
     """The genetic algorithm of the paper (Sec. 4.2), with the paper's settings."""
     zeros, ones = np.zeros(problem.size), np.ones(problem.size)
-    settings = GeneticSettings(population=POPULATION, generations=GENERATIONS)
-    search = GeneticAlgorithm(zeros, ones, rng, settings)
+    search = GeneticAlgorithm(zeros, ones, rng)
     while not search.stop:
         search.tell(problem.costs(search.ask()))
     return search.best

@@ -298,10 +298,6 @@ def replay(
     return replace(found, torque=found.torque - disturbance)
 
 
-FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
-"""Parameters proportional to the friction as a whole: not Stribeck speeds, inertia or offset."""
-
-
 @dataclass(frozen=True)
 class Sums:
     """Sums of squares over all samples, also at rest, from which rms errors are computed."""
@@ -389,13 +385,3 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
     if prepared.filter.half:
         series = smooth(series, 1.0 / recording.period, POSITION_BANDWIDTH * prepared.bandwidth_Hz)
     return np.asarray(prepared.filter(series))
-
-
-def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
-    """Return the parameter values with all friction multiplied by ``share``; the error of the model
-    with these values is a scale for the error of the fitted model.
-    """
-    return {
-        name: value * (share if name in FRICTION_PARAMETERS else 1.0)
-        for name, value in values.items()
-    }

@@ -134,7 +134,7 @@ def seal_folder(folder: Path, record: RunRecord, say: Callable[[str, bool], None
     except (OSError, UnicodeError) as error:
         say(f"{folder}: {SEAL_FILE} cannot be written: {error}", False)
     except KeyboardInterrupt:
-        say(f"{folder}: {SEAL_FILE} is not written; `rig runs verify` has no digests", False)
+        say(f"{folder}: {SEAL_FILE} is not written; `sha256sum -c` has no digests", False)
 
 
 def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:

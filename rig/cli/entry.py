@@ -71,7 +71,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.prove:prove",
         "Test the diagnosis on blind trials with injected effects.",
     ),
-    "runs": ("rig.cli.commands.runs:command", "List, show, compare and verify recorded runs."),
+    "runs": ("rig.cli.commands.runs:command", "List, show, compare and accept recorded runs."),
     "look": ("rig.cli.commands.look:look", "Show the content of a log made elsewhere."),
     "export": ("rig.cli.commands.export:export", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.export:recover", "Repair a run whose writer died."),

@@ -181,44 +181,22 @@ def _check_units(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
 
 
 def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
-    """Yield recordings whose start time or order does not fit those of the other recordings."""
-    ways = [_way(recording) for recording in campaign.recordings]
-    for index, (recording, way) in enumerate(zip(campaign.recordings, ways, strict=True)):
-        if recording.start is not None and recording.order is not None:
+    """Yield recordings whose start time has another form than that of the first recording."""
+    first = _way(campaign.recordings[0])
+    for index, recording in enumerate(campaign.recordings):
+        if (way := _way(recording)) != first:
             yield (
-                ("recordings", index, "order"),
-                "`start` already determines the order; remove `order`",
+                ("recordings", index, "start"),
+                f"{way}, but the first recording has {first}; recordings have a common clock only "
+                "if all have `start`, as ISO times or as seconds",
             )
-        elif way != ways[0]:
-            yield (
-                ("recordings", index, way or "start"),
-                f"{_WAYS[way]}, but the first recording has {_WAYS[ways[0]]}; recordings have a "
-                "common clock only if all have `start`, as ISO times or as seconds, or all have "
-                "`order`",
-            )
-    orders = [recording.order for recording in campaign.recordings]
-    for index, order in enumerate(orders):
-        if order is not None and order in orders[:index]:
-            yield (
-                ("recordings", index, "order"),
-                f"{order} is also the order of recordings[{orders.index(order)}]; give each "
-                "recording another order",
-            )
-
-
-_WAYS: Mapping[str, str] = {
-    "": "neither `start` nor `order`",
-    "order": "`order`",
-    "start": "`start` in seconds",
-    "start.": "`start` as an ISO time",
-}
 
 
 def _way(recording: RecordingSection) -> str:
-    """Return how a recording states its time: by start time, by order, or not at all."""
-    if recording.start is not None:
-        return "start." if isinstance(recording.start, str) else "start"
-    return "" if recording.order is None else "order"
+    """Return how a recording states its time, as text."""
+    if recording.start is None:
+        return "no `start`"
+    return "`start` as an ISO time" if isinstance(recording.start, str) else "`start` in seconds"
 
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:

@@ -254,9 +254,6 @@ class ReadSection(Schema):
             no header.
         decimal: Decimal separator.
         dbc: DBC file of recorded CAN traffic, or a list of them, relative to the campaign file.
-        bench: Bench file in place of `dbc`, relative to the campaign file, or the name of a
-            packaged bench. The bench's map of drive and encoder frames is used, and the columns are
-            channels in SI units.
         bus: Name in the file of the bus whose frames are used (`can0`, `1`); all buses if left
             out.
     """
@@ -265,7 +262,6 @@ class ReadSection(Schema):
     skip_rows: int = Field(default=0, ge=0)
     decimal: Literal[".", ","] = "."
     dbc: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
-    bench: str | None = None
     bus: str | int | None = None
 
     @property
@@ -276,25 +272,12 @@ class ReadSection(Schema):
     def beside(self, folder: Path) -> ReadSection:
         """Return a copy of the options in which file names are resolved from a folder."""
         named = tuple(str(folder / stored_path(name)) for name in self.dbc_files)
-        bench = self.bench
-        if bench is not None and Path(bench).suffix:
-            bench = str(folder / stored_path(bench))
-        return self.model_copy(update={"dbc": named or None, "bench": bench})
-
-    @property
-    def other_files(self) -> tuple[Path, ...]:
-        """The files that are read beside the recording."""
-        bench = (Path(self.bench),) if self.bench and Path(self.bench).suffix else ()
-        return (*map(Path, self.dbc_files), *bench)
+        return self.model_copy(update={"dbc": named or None})
 
     @model_validator(mode="after")
     def _told_apart(self) -> ReadSection:
         if self.delimiter == self.decimal == ",":
             raise ValueError("delimiter and decimal are both a comma; change one of the two")
-        if self.dbc is not None and self.bench is not None:
-            raise ValueError(
-                "dbc and bench are both given, but a bench replaces a DBC file; remove dbc or bench"
-            )
         return self
 
 
@@ -560,8 +543,6 @@ class RecordingSection(Schema):
             state it, or none.
         start: Start time of the file: an ISO time, or seconds since the machine was switched on
             cold. Either all recordings state a start time, or no recording does.
-        order: Position of the file in the session, instead of `start`, if only the order is known;
-            the pauses between files then count as zero.
         window: The part of the file that is used.
         controller: The position loop during the recording, for simulations.
         role: `validate` excludes the recording from every fit; at the end the recording is scored,
@@ -581,7 +562,6 @@ class RecordingSection(Schema):
     constant_torque: KnownNumber = 0.0
     unit: Annotated[str, Field(pattern=r"^(\w[\w.-]*)?$")] = ""
     start: float | Annotated[str, AfterValidator(iso_time)] | None = None
-    order: int | None = None
     window: WindowSection | None = None
     controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"

@@ -1,4 +1,4 @@
-"""HTTP and WebSocket routes of the console.
+"""HTTP and WebSocket routes of the console, and its list of recorded runs.
 
 A reading request needs no token. A command is a POST request with the token in its header and JSON
 as its content; the JSON contains the number of the command, which increases with each command of a
@@ -8,13 +8,16 @@ page.
 from __future__ import annotations
 
 import asyncio
+import glob
 import json
 import math
 import os
 import socket
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,14 +32,29 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.common.errors import InputError
 from rig.console.followed import Followed, Reached
-from rig.console.gate import BURST, MOST_GREETING, QUEUE, Gate, Token, bounded
+from rig.console.gate import (
+    BURST,
+    MOST_GREETING,
+    QUEUE,
+    RUN_SANDBOX,
+    SANDBOX,
+    Gate,
+    Token,
+    bounded,
+)
 from rig.console.hub import Hub, Page, Refusal
-from rig.console.recorded import Made, Recorded
 from rig.console.starting import Starter, StartError, Wish
+from rig.results.catalogue.listing import PAGES, cells
+from rig.results.run.report import REPORT_FILE
 from rig.results.run.report import STATIC as SHARED
+from rig.runs.catalogue.entry import Entry, Wanted, chosen, latest
+from rig.runs.catalogue.index import list_runs
 from rig.terminal.control_socket import Command
 
 _HEAD: Final = struct.Struct("<I")
+SHOWN: Final = 30
+MOST_SHOWN: Final = 300
+_FRESH_S: Final = 3.0  # time for which a list is reused, s
 
 
 class View:
@@ -189,6 +207,127 @@ _COMMANDS: Final = {command.value: command for command in Command}
 _LONGEST_WINDOW_S: Final = 86_400.0
 
 
+@dataclass(frozen=True)
+class Choice:
+    """Which of the recorded runs are listed."""
+
+    bench: str = ""
+    last: int = SHOWN
+
+    @classmethod
+    def of(cls, given: Mapping[str, str]) -> Choice:
+        """Return the choice that a query states; ValueError if it is not valid."""
+        last = given.get("last", str(SHOWN))
+        if not last.isdecimal() or len(last) > 9 or not 0 < int(last) <= MOST_SHOWN:
+            raise ValueError(f"last must be a whole number from 1 to {MOST_SHOWN}")
+        return cls(given.get("bench", ""), int(last))
+
+    @property
+    def pattern(self) -> str | None:
+        """The bench in the form that `rig runs` accepts, or None for every bench."""
+        return glob.escape(self.bench) if self.bench else None
+
+
+class Recorded:
+    """Lists the runs of a folder, and serves the pages in the run folders, read only."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._held, self._listing = asyncio.Lock(), asyncio.Lock()
+        self._lists: dict[Choice, str] = {}
+        self._listed_s = -_FRESH_S
+        self._entries: Sequence[Entry] = ()
+        self._problem = ""
+        self._read_s = -_FRESH_S
+        self._folders: frozenset[str] = frozenset()
+        self.routes = [
+            Route("/recorded", self._list, methods=["GET"]),
+            Route("/recorded/{path:path}", self._page, methods=["GET"]),
+        ]
+
+    async def _list(self, request: Request) -> Response:
+        try:
+            choice = Choice.of(request.query_params)
+        except ValueError as error:
+            return Response(str(error), status_code=400, media_type="text/plain")
+        await self._refresh()
+        async with self._listing:
+            # One list is made at a time, and a fresh one is used again: pages without the token
+            # must not take the processor from a command.
+            if self._listed_s != self._read_s:
+                self._lists, self._listed_s = {}, self._read_s
+            if choice not in self._lists:
+                self._lists[choice] = await asyncio.to_thread(self._listed, choice)
+            listed = self._lists[choice]
+        return Response(listed, media_type="application/json")
+
+    async def _refresh(self) -> None:
+        # Only one list is read at a time, for all pages; the folders are read in a thread.
+        async with self._held:
+            if time.monotonic() - self._read_s >= _FRESH_S:
+                await asyncio.to_thread(self._read)
+                self._read_s = time.monotonic()
+
+    def _read(self) -> None:
+        entries: list[Entry] = []
+        problem = ""
+        if self.root.is_dir():
+            try:
+                entries = list_runs(self.root).entries
+            except (InputError, OSError) as error:
+                problem = str(error)
+        self._entries, self._problem = entries, problem
+        self._folders = frozenset(entry.folder for entry in entries)
+
+    def _chosen(self, entries: Sequence[Entry], choice: Choice) -> Sequence[Entry]:
+        if choice.pattern is not None:
+            entries = chosen(self.root, entries, Wanted(bench=choice.pattern))
+        return latest(entries, choice.last)
+
+    def _listed(self, choice: Choice) -> str:
+        """Return the list as JSON in ASCII, whose escapes also encode names that are no Unicode."""
+        everything = self._entries
+        listed = self._chosen(everything, choice)
+        benches = {entry.head.bench for entry in everything} - {""}
+        found = {
+            "root": str(self.root.absolute()),
+            "count": len(everything),
+            "problem": self._problem,
+            "benches": sorted(benches),
+            "runs": [self._row(entry) for entry in reversed(listed)],
+        }
+        return json.dumps(found)
+
+    def _row(self, entry: Entry) -> dict[str, Any]:
+        folder = self.root / entry.folder
+        known = cells(self.root, entry)
+        return {
+            "folder": entry.folder,
+            "cells": list(known.values())[1:],
+            "verdict": known["verdict"],
+            "problem": entry.head.problem,
+            "pages": [each for each in PAGES if (folder / each[0]).is_file()],
+        }
+
+    async def _page(self, request: Request) -> Response:
+        path = str(request.path_params["path"])
+        # The longest fitting name is used, because the name of a diagnosis page, in its folder,
+        # ends with the name of another page.
+        fitting = [name for name, _ in PAGES if path.endswith(f"/{name}")]
+        name = max(fitting, key=len, default="")
+        folder = path.removesuffix(f"/{name}") or "."
+        if not name or folder not in self._folders:
+            return Response("no such page", status_code=404, media_type="text/plain")
+        try:
+            content = await asyncio.to_thread((self.root / folder / name).read_bytes)
+        except OSError as error:
+            words = f"{name}: {error.strerror}"
+            return Response(words, status_code=404, media_type="text/plain")
+        policy = RUN_SANDBOX if name == REPORT_FILE else SANDBOX
+        headers = {"Content-Security-Policy": policy}
+        return Response(content, media_type=_KINDS[".html"], headers=headers)
+
+
 class Console:
     """The web application of the console."""
 
@@ -206,7 +345,6 @@ class Console:
             if path.suffix in _KINDS
         }
         recorded = Recorded(hub.starter.runs)
-        self._made = Made(recorded, hub.starter.command)
         self.app = Starlette(
             routes=[
                 Route("/", self._index, methods=["GET"]),
@@ -218,10 +356,7 @@ class Console:
                 Route("/start", self._posted(self._start), methods=["POST"]),
                 Route("/resume", self._posted(self._resume), methods=["POST"]),
                 WebSocketRoute("/live", self._live),
-                Route("/compare", self._posted(self._compare), methods=["POST"]),
-                Route("/trend", self._posted(self._trend), methods=["POST"]),
                 *recorded.routes,
-                *self._made.routes,
             ],
             middleware=[Middleware(Gate, hosts=hosts)],
             lifespan=self._lifespan,
@@ -386,14 +521,6 @@ class Console:
         assert page is not None
         self._hub.follow_up(page, run.folder)
         return {"words": "Started again: the run continues at its first unfinished stage"}
-
-    async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        _in_contact(page)
-        return await self._made.compare(message)
-
-    async def _trend(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        _in_contact(page)
-        return await self._made.trend(message)
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder

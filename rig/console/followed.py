@@ -18,8 +18,8 @@ from rig.common.errors import InputError
 from rig.planning.predicted_load import friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
 from rig.runs.decimation import Decimation
-from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, decode_samples
-from rig.runs.mcap.reader import START, DamageError, Tail
+from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_TOPIC, decode_samples
+from rig.runs.mcap.reader import START, DamageError, Tail, require_sample
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 
@@ -139,10 +139,9 @@ class Growing:
 def _decoded(samples: list[bytes]) -> dict[str, Array]:
     if not samples:
         return {}
-    size = len(samples[0])
-    if size not in SAMPLE_SIZES or any(len(sample) != size for sample in samples):
-        raise DamageError(f"a sample has {size} bytes, a size that this program does not write")
-    return decode_samples(b"".join(samples), size)
+    for sample in samples:
+        require_sample(sample)
+    return decode_samples(b"".join(samples))
 
 
 BLOCK = 10  # number of samples that are averaged for one point

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import secrets
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -29,7 +27,7 @@ _LONGEST_NAME: Final = 100
 
 
 async def output_of(
-    command: Sequence[str], timeout_s: float | None = None, nice: int = 0, keep: bool = False
+    command: Sequence[str], timeout_s: float | None = None, keep: bool = False
 ) -> tuple[int, str]:
     """Run a command, which may outlive this console; return exit status and output.
 
@@ -43,9 +41,6 @@ async def output_of(
         start_new_session=keep,
     )
     try:
-        if nice:
-            with suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, child.pid, os.nice(0) + nice)
         output, _ = await asyncio.wait_for(child.communicate(), timeout_s)
     finally:
         if child.returncode is None and not keep:

@@ -6,8 +6,8 @@ a run also has the topics ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and `
 times are UTC: the time ``created`` of the recording plus the time since its start; the stamp of a
 frame is its log time.
 
-In the formats of candump and of Vector's tools, identifiers, data, direction and order are exact;
-times are rounded to microseconds, the resolution of both formats.
+In the format of candump, identifiers, data, direction and order are exact; times are rounded to
+microseconds, the resolution of the format.
 """
 
 from __future__ import annotations
@@ -31,13 +31,12 @@ from rig.runs import exported
 from rig.runs.exported import KEY, describe, sidecar, topics
 from rig.runs.mcap import ros
 from rig.runs.mcap.layout import (
-    CLOCK_METADATA,
     EVENT_JSON_SCHEMA,
     EVENT_TOPIC,
     FRAMES_TOPIC,
     decode_frames,
 )
-from rig.runs.mcap.reader import START, DamageError, Message, Tail, first_metadata
+from rig.runs.mcap.reader import START, DamageError, Message, Tail
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 
@@ -75,26 +74,9 @@ def _utc_ns(created: str) -> int:
     return (instant(created) - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
-class FrameClock:
-    """Converts the time stamps of the raw frames of one recording to UTC: the recording starts at
-    the time ``created`` of its part.
-
-    Frames in recordings of earlier versions count from an unknown origin; their first frame is
-    assumed to be at the start of the recording.
-    """
-
-    def __init__(self, folder: Path, part: PartRecord) -> None:
-        self.created_ns = _utc_ns(part.created)
-        path = folder / part.file
-        with _readable(path, folder):
-            known = first_metadata(path, CLOCK_METADATA)
-        self._origin_ns = None if known is None else 0
-
-    def at(self, frame: RawFrame) -> RawFrame:
-        """Return the frame and its time, ns since 1970."""
-        if self._origin_ns is None:
-            self._origin_ns = frame.time_ns
-        return frame._replace(time_ns=self.created_ns + frame.time_ns - self._origin_ns)
+def _at(frame: RawFrame, created_ns: int) -> RawFrame:
+    """Return a frame of a recording with its time, ns since 1970."""
+    return frame._replace(time_ns=created_ns + frame.time_ns)
 
 
 @dataclass
@@ -103,25 +85,22 @@ class Count:
 
     frames: int = 0
     serial: int = 0
-    errors: int = 0
     parts: list[str] = field(default_factory=list)
 
 
 def _can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
     """Yield the CAN frames of a run, times in ns since 1970; serial bytes are only counted."""
     for part in record.parts:
-        clock = FrameClock(folder, part)
+        created_ns = _utc_ns(part.created)
         for topic, message in messages(folder, part):
             if topic != FRAMES_TOPIC:
                 continue
             for frame in decode_frames(message.data):
-                placed = clock.at(frame)
                 if ros.is_serial(frame):
                     count.serial += 1
                 else:
                     count.frames += 1
-                    count.errors += bool(frame.identifier & ERROR_FLAG)
-                    yield placed
+                    yield _at(frame, created_ns)
 
 
 def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
@@ -142,61 +121,15 @@ def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
         )
 
 
-def _write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
-    """Write a log as Vector does, from a whole second on, because its date has milliseconds."""
-    first = next(frames, None)
-    start = 0 if first is None else _microseconds(first.time_ns) // 1_000_000 * 1_000_000
-    begun = _date(start)
-    stream.write(f"date {begun}\nbase hex  timestamps absolute\ninternal events logged\n")
-    stream.write(
-        f"// version 9.0.0\nBegin Triggerblock {begun}\n   0.000000 Start of measurement\n"
-    )
-    while first is not None:
-        seconds = (_microseconds(first.time_ns) - start) / 1e6
-        stream.write(f"{seconds:11.6f} 1  {_asc(first)}\n")
-        first = next(frames, None)
-    stream.write("End TriggerBlock\n")
-
-
-def _asc(frame: RawFrame) -> str:
-    flags = frame.identifier
-    if flags & ERROR_FLAG:
-        return "ErrorFrame"
-    identifier = f"{flags & IDENTIFIER_BITS:X}{'x' if flags & EXTENDED_FLAG else ''}"
-    head = f"{identifier:<15} {'Tx' if frame.sent else 'Rx'}  "
-    if flags & REMOTE_FLAG:
-        return f"{head} r"
-    return f"{head} d {len(frame.data)} {frame.data.hex(' ').upper()}".rstrip()
-
-
-_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-
-
-def _date(microseconds: int) -> str:
-    """Return a date as Vector writes it: local time, in English for every locale."""
-    at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
-    noon = "am" if at.hour < 12 else "pm"
-    clock = f"{(at.hour + 11) % 12 + 1:02d}:{at:%M:%S}.{at.microsecond // 1000:03d} {noon}"
-    return f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02d} {clock} {at.year}"
-
-
 def _microseconds(time_ns: int) -> int:
     return (time_ns + 500) // 1000
 
 
-TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] = {
-    "candump": ("log", _write_candump),
-    "asc": ("asc", _write_asc),
-}
-"""Extension of the files, and writer, by format."""
-
-
-def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Count:
+def export_traffic(folder: Path, record: RunRecord, path: Path) -> Count:
     """Write the raw CAN frames of a run."""
     count = Count(parts=[part.file for part in record.parts])
     with open(path, "w", encoding="ascii", newline="\n") as stream:
-        TRAFFIC[kind][1](stream, _can_frames(folder, record, count))
+        _write_candump(stream, _can_frames(folder, record, count))
     if not count.frames:
         wire = "its bus is a serial line" if count.serial else "none was recorded"
         raise InputError(
@@ -260,12 +193,13 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
         )
     )
     for part in record.parts:
-        clock = FrameClock(folder, part)
+        created_ns = _utc_ns(part.created)
         for topic, message in messages(folder, part):
             if topic == EVENT_TOPIC:
-                writer.message(event, clock.created_ns + message.time_ns, message.data)
+                writer.message(event, created_ns + message.time_ns, message.data)
             elif topic == FRAMES_TOPIC:
-                for frame in map(clock.at, decode_frames(message.data)):
+                for each in decode_frames(message.data):
+                    frame = _at(each, created_ns)
                     if ros.is_serial(frame):
                         writer.message(serial, frame.time_ns, ros.serial_bytes(frame))
                     else:
@@ -279,13 +213,14 @@ WRITERS: Mapping[str, Callable[[Dataset, Path, Run | None], None]] = {
     "mcap": write_mcap,
 }
 """Writers of recordings by format."""
-FORMATS = (*WRITERS, *TRAFFIC)
-"""Formats by name: first those of recordings, then those of raw traffic."""
+CANDUMP = "candump"  # format of raw CAN frames
+FORMATS = (*WRITERS, CANDUMP)
+"""Formats by name."""
 
 
 def extension(kind: str) -> str:
     """Return the usual extension of a format's files, without a dot."""
-    return TRAFFIC[kind][0] if kind in TRAFFIC else kind
+    return "log" if kind == CANDUMP else kind
 
 
 def with_ending(path: Path, kind: str) -> Path:

@@ -41,22 +41,6 @@ def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
 
-def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
-    """Return the present path of an input file of a run; the file need not exist.
-
-    Older run files have the path as typed. If no file exists at a relative path from the current
-    folder, the path is tried from the parent folders of the run, because the run was probably
-    started in one of these folders.
-    """
-    path = stored_path(entry["file"])
-    if path.is_absolute():
-        return path
-    candidates = (base / path for base in (Path(), *folder.absolute().parents))
-    return next(
-        (candidate for candidate in candidates if _is_file(candidate, entry["sha256"])), path
-    )
-
-
 def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
     """Return the file of limits that was last given to a run, from the recordings of the run, or
     None if no file was given.
@@ -82,14 +66,7 @@ def _copies(folder: Path, record: RunRecord, entry: Mapping[str, str]) -> Iterat
         with suppress(DamageError, OSError):
             yield first_attachment(folder / part.file, ACCEPTANCE_INPUT)
     with suppress(OSError, ValueError):
-        yield read_bytes(recorded_input(folder, entry))
-
-
-def _is_file(path: Path, sha256: str) -> bool:
-    try:
-        return is_file(path) and sha256_file(path) == sha256
-    except OSError:
-        return False
+        yield read_bytes(stored_path(entry["file"]))
 
 
 JOINT_FIELDS = {
@@ -127,7 +104,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
     # Imported here, because measured recordings can be read without the drivers.
     from rig.config.bench import load_bench
 
-    path = recorded_input(source, entry)
+    path = stored_path(entry["file"])
     for candidate in (path, packaged(path.stem, "benches")):
         if is_file(candidate) and sha256_file(candidate) == entry["sha256"]:
             try:

@@ -15,13 +15,13 @@ from rig.common.errors import InputError
 from rig.common.locks import hold_folder
 from rig.common.places import write_json
 from rig.common.provenance import sha256_file
+from rig.common.text import stored_path
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence as SequenceFile
 from rig.config.sequence import load_sequence
 from rig.runs.mcap.layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.runs.mcap.reader import Log
-from rig.runs.recorded_inputs import recorded_input
 from rig.runs.recorder import Recorder, open_recorder
 from rig.runs.run import RESERVE_FILE, discard, first_unfinished, part_file, read_log
 from rig.runs.run_file import read_record
@@ -257,7 +257,7 @@ def prepare(folder: Path) -> Resumption:
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     """Return the path of an input file that is unchanged since the start of the run."""
     entry = record.inputs[name]
-    path = recorded_input(folder, entry)
+    path = stored_path(entry["file"])
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
     if name == BENCH_ATTACHMENT and record.simulated:
         attached = attached.replace(")", ", without the simulated machine's true constants)")

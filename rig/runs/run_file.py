@@ -1,4 +1,4 @@
-"""Reads ``run.json`` of this or an older version, and validates it: users may edit the file."""
+"""Reads ``run.json`` and validates it: users may edit the file."""
 
 from __future__ import annotations
 
@@ -23,11 +23,9 @@ from rig.common.timing import Timing
 from rig.config.configuration import Loc, explain_json, place_json
 from rig.runs.run_record import (
     BENCH_ATTACHMENT,
-    RECORDING_FILE,
     RUN_FILE,
     SCHEMA,
     SEQUENCE_ATTACHMENT,
-    STAGE_ENDS,
     STRICT,
     RunRecord,
 )
@@ -40,10 +38,8 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
-_ADDED = {"gas_generator": None}  # constants that `run.json` of versions without hot firings lacks
-_PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
-_BENCH = {field.name for field in dataclasses.fields(BenchConstants)} - {"supply_voltage"}
-"""Constants that every record states; those of earlier versions have no voltage of the supply."""
+_BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
+"""Constants that every record states."""
 _MUST_HOLD = {
     "inputs": {"file", "sha256"},
     "calibrations": {"device", "id", "due", "overdue"},
@@ -72,53 +68,13 @@ def read_record(folder: Path) -> RunRecord:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
     try:
-        record: RunRecord = _adapter(RunRecord).validate_json(
-            json.dumps(_of_today(raw)), strict=True
-        )
+        record: RunRecord = _adapter(RunRecord).validate_json(json.dumps(raw), strict=True)
     except ValidationError as error:
         raise InputError(explain_json(path, text, RunRecord, error)) from None
     problems = list(_contradictions(record))
     if problems:
         raise InputError(place_json(path, text, problems))
     return record
-
-
-def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete a record of an older version."""
-    if isinstance(raw.get("bench"), dict):
-        raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
-    if (
-        isinstance(raw.get("state"), str)
-        and raw["state"] in STAGE_ENDS
-        and isinstance(raw.get("stages"), list)
-    ):
-        raw = {
-            **raw,
-            "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]],
-        }
-    if "parts" in raw or not isinstance(raw.get("stages"), list):
-        return raw
-    part = {
-        "operator": None,
-        **{key: raw[key] for key in _PART_KEYS if key in raw},
-        "file": RECORDING_FILE,
-    }
-    names = [stage.get("name") for stage in raw["stages"] if isinstance(stage, dict)]
-    segments = raw.get("segments", [])
-    for segment in segments if isinstance(segments, list) else []:
-        if isinstance(segment, dict) and "stage_index" not in segment:
-            name = str(segment.get("name")).partition("[")[0]
-            segment["stage_index"] = names.index(name) if name in names else len(names)
-    return {**raw, "parts": [part]}
-
-
-def _ended(stage: Any, state: str) -> Any:
-    """Return a stage; one that still runs although the run has ended gets that end."""
-    return (
-        {**stage, "state": state}
-        if isinstance(stage, dict) and stage.get("state") == "running"
-        else stage
-    )
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:

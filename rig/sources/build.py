@@ -44,11 +44,10 @@ from rig.sources.table import Table, format_of
 
 @dataclass(frozen=True)
 class Read:
-    """The recordings of one file, its entry in the campaign, and its first and last stamp, s."""
+    """The recordings of one file, its entry in the campaign, and its first stamp, s."""
 
     recordings: tuple[Recording, ...]
     first: float
-    last: float
     section: RecordingSection
     index: int
 
@@ -57,8 +56,7 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
     """Return the recordings of all files, with start times in the session if the campaign states
     them.
 
-    Start times in seconds are used as stated. The earliest ISO time becomes zero. Files with a
-    stated order follow one another without a pause.
+    Start times in seconds are used as stated. The earliest ISO time becomes zero.
     """
     problems: list[str] = []
     starts = _starts(files, document, problems)
@@ -68,8 +66,6 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
             if start is not None:
                 begin = start + float(recording.time[0]) - file.first
                 note = f"begins {begin:.6g} s into the session"
-                if file.section.order is not None:
-                    note += "; only the order is known, so that pauses count as zero"
                 recording = replace(recording, start=begin, notes=(*recording.notes, note))
             placed.append((recording, file.index))
     if any(start is not None for start in starts) and not problems:
@@ -83,17 +79,16 @@ def _starts(
     files: Sequence[Read], document: Document[Campaign], problems: list[str]
 ) -> list[float | None]:
     """Return the start time of each file, s; all windows of a file have one start time."""
-    for name in ("start", "order"):
-        for index in dict.fromkeys(f.index for f in files):
-            same = [f for f in files if f.index == index]
-            if getattr(same[0].section, name) is not None and len(same) > 1:
-                problems.append(
-                    document.problem(
-                        ("recordings", index, name),
-                        f"one `{name}` for {len(same)} files; list each file in a separate entry "
-                        f"with its own `{name}`",
-                    )
+    for index in dict.fromkeys(f.index for f in files):
+        same = [f for f in files if f.index == index]
+        if same[0].section.start is not None and len(same) > 1:
+            problems.append(
+                document.problem(
+                    ("recordings", index, "start"),
+                    f"one `start` for {len(same)} files; list each file in a separate entry with "
+                    "its own `start`",
                 )
+            )
     times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
     epoch = min(times, default=None)
     found: list[float | None] = []
@@ -103,16 +98,6 @@ def _starts(
             found.append((instant(start) - epoch).total_seconds())
         else:
             found.append(None if isinstance(start, str) else start)
-    ordered = sorted(
-        (n for n, f in enumerate(files) if f.section.order is not None),
-        key=lambda n: (files[n].section.order or 0, n),
-    )
-    clock = 0.0
-    for n in ordered:
-        found[n] = clock
-        # One period is added, so that the first sample of the next file comes after the last sample
-        # of this file.
-        clock += files[n].last - files[n].first + files[n].recordings[0].period
     return found
 
 
@@ -225,7 +210,7 @@ def build(
         channels, unread, found = read_channels(table, section, document, index)
         digest = sha256_file(file)
     finite = channels["time"][np.isfinite(channels["time"])]
-    first, last = (float(finite[0]), float(finite.max())) if finite.size else (0.0, 0.0)
+    first = float(finite[0]) if finite.size else 0.0
     channels, skipped, cut = _windowed(file, channels, section)
     channels, timing, mended = _mend(
         table, channels, unread + skipped, stamped=section.rate is None
@@ -267,7 +252,7 @@ def build(
     if words := coarser_than_velocity(whole):
         used = {n: v for n, v in whole.channels.items() if n not in ANGLES}
         whole, stamps = replace(whole, channels=used, notes=(*whole.notes, words)), None
-    return Read(tuple(_cut(whole, timing, stamps)), first, last, section, index)
+    return Read(tuple(_cut(whole, timing, stamps)), first, section, index)
 
 
 def _windowed(
@@ -513,7 +498,7 @@ def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Da
     recordings = tuple(on_session_clock(files, document))
     others = dict.fromkeys(document.other_files())
     for section in campaign.recordings:
-        others |= dict.fromkeys(section.read.beside(document.path.parent).other_files)
+        others |= dict.fromkeys(map(Path, section.read.beside(document.path.parent).dbc_files))
     tables = {str(file): sha256_file(file) for file in others}
     return Dataset(recordings, campaign.model.model(), tables)
 

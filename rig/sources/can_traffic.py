@@ -1,10 +1,9 @@
 """Reads recorded CAN traffic with python-can (candump, Vector ASC and BLF, PEAK TRC, and the bus
-logging of MDF), and its signals by a DBC file or, in the same way as a run, by a bench file.
+logging of MDF), and its signals by a DBC file.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
@@ -15,29 +14,13 @@ from typing import Any, BinaryIO, NamedTuple, TextIO, cast
 import can
 import can.io
 import numpy as np
-from canopen.objectdictionary import datatypes
 from numpy.typing import NDArray
 
 from drivers.can.port import EXTENDED_FLAG, hexadecimal
-from drivers.canopen import cia402
-from drivers.canopen import cia402_objects as objects
-from drivers.canopen.eds_file import read_eds
-from drivers.canopen.link import CanopenLink
-from drivers.canopen.motion import TARGET_POSITION
-from drivers.canopen.pdo import RECEIVE, TRANSMIT, Direction
-from drivers.canopen.sdo import variable
-from drivers.clock import SimulatedClock
 from drivers.dbc.file import load_dbc
-from drivers.dbc.map import Quantity
 from drivers.errors import ConfigurationError
-from drivers.objects import ObjectAddress
-from identification.recording import CHANNELS
 from rig.common.errors import InputError
-from rig.config.bench import Bench, load_bench
 from rig.config.campaign_sections import ReadSection
-from rig.config.canopen import EncoderSection, ServoSection
-from rig.config.configuration import Document
-from rig.config.dbc import DbcServoSection, dbc_path
 from rig.sources.table import (
     Array,
     Table,
@@ -49,8 +32,6 @@ from rig.sources.table import (
     open_binary,
 )
 from rig.sources.text import encoding_of, open_text
-from rig.wiring.connect import eds_path, never_opened
-from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
 ERROR_FLAG = 0x20000000  # flag that SocketCAN sets in the identifier of an error frame
 _CANDUMP = re.compile(
@@ -444,145 +425,6 @@ def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -
     return found[signal.name]
 
 
-_UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
-_COUNTER_BITS = 32
-_PDO_STEP = 0x100
-"""Difference of the identifiers of two successive PDOs in the predefined connection set."""
-_Scale = tuple[str, float, float]
-"""Name of a column, SI units per raw unit, and SI value at raw value 0."""
-
-
-def _messages_of_bench(path: Path) -> list[BusMessage]:
-    """Return the messages of a bench's drive and joint encoder as a run maps them."""
-    document = load_bench(path)
-    bench = document.value
-    try:
-        if isinstance(bench.servo, DbcServoSection):
-            found = list(_dbc(document, bench.servo))
-        elif isinstance(bench.servo, ServoSection) and getattr(bench.bus, "bitrate", None):
-            found = list(_drive(document, bench.servo))
-        else:
-            raise InputError(
-                f"{path}: the drive of this bench is not on a CAN bus; name a DBC file instead"
-            )
-        if isinstance(bench.encoder, EncoderSection):
-            found += _encoder(document, bench.encoder)
-    except ConfigurationError as error:
-        raise InputError(f"{path}: {error}") from error
-    return found
-
-
-def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
-    data = servo.device_data(document.path.parent)
-    scales = servo_scales(servo, document.value.machine, data)
-    motion = servo_motion(servo, scales, data)
-    eds = eds_path(document, "servo")
-    link = CanopenLink(SimulatedClock(), never_opened)
-    node = link.add_node(servo.node, eds, servo_axis(servo, data))
-    sent = objects.cyclic(node, scales)
-    angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
-    meaning: dict[ObjectAddress, _Scale] = {
-        cia402.STATUSWORD: ("statusword", 1.0, 0.0),
-        cia402.CONTROLWORD: ("controlword", 1.0, 0.0),
-        objects.POSITION: ("motor_angle", *angle),
-        TARGET_POSITION: ("command", scales.joint_rad_per_count, scales.offset_rad),
-    }
-    optional: tuple[tuple[ObjectAddress | None, str, float], ...] = (
-        (sent.current, "current", scales.sign * sent.current_unit_A),
-        (sent.speed, "velocity", scales.sign * scales.joint_speed_unit_rad_s),
-        (sent.time, "device_time", 1e-6),
-        (sent.voltage, "voltage", scales.sign * scales.voltage_unit_V),
-        (sent.supply, "supply_voltage", scales.supply_unit_V),
-        (sent.temperature, "temperature", scales.temperature_unit_C),
-        (sent.torque, "torque_6077h", 1.0),
-    )
-    meaning |= {at: (name, unit, 0.0) for at, name, unit in optional if at is not None}
-    for direction, layouts in (
-        (RECEIVE, objects.outputs(motion)),
-        (TRANSMIT, objects.inputs(sent, node)),
-    ):
-        for layout in layouts:
-            yield _pdo(direction, layout.number, servo.node, eds, layout.objects, meaning)
-
-
-def _encoder(document: Document[Bench], encoder: EncoderSection) -> Iterator[BusMessage]:
-    """Yield the PDO of a CiA 406 encoder as a message, without its time stamp."""
-    scales = encoder_scales(encoder, document.value.limits)
-    position = (0x6004, 0)
-    meaning = {position: ("angle", scales.rad_per_count, scales.offset_rad)}
-    eds = eds_path(document, "encoder")
-    yield _pdo(TRANSMIT, 1, encoder.node, eds, (position,), meaning)
-
-
-def _pdo(
-    direction: Direction,
-    number: int,
-    node: int,
-    eds: Path,
-    mapped: Sequence[ObjectAddress],
-    meaning: Mapping[ObjectAddress, _Scale],
-) -> BusMessage:
-    dictionary = read_eds(eds, node)
-    signals = []
-    start = 0
-    for address in mapped:
-        item = variable(dictionary, *address)
-        name, factor, offset = meaning[address]
-        width = len(item)
-        signals.append(
-            BusSignal(
-                name,
-                range(start, start + width),
-                # A counter of 32 bits counts from zero in both directions.
-                signed=item.data_type in datatypes.SIGNED_TYPES or width == _COUNTER_BITS,
-                factor=factor,
-                offset=offset,
-                unit=_UNITS.get(name, ""),
-            )
-        )
-        start += width
-    identifier = direction.identifiers + (number - 1) * _PDO_STEP + node
-    return BusMessage(f"{direction.name}{number}_node{node}", identifier, tuple(signals))
-
-
-def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
-    """Yield the messages of the drive's DBC file; a mapped signal has the name of its channel."""
-    gear = document.value.machine.gear_ratio
-    channels = {
-        "position": ("motor_angle", 1.0, gear * servo.drive(gear, 1.0).offset_rad),
-        "velocity": ("velocity", 1.0 / gear, 0.0),
-        "torque": ("torque", gear, 0.0),
-        "current": ("current", 1.0, 0.0),
-        "voltage": ("voltage", 1.0, 0.0),
-        "supply_voltage": ("supply_voltage", 1.0, 0.0),
-        "temperature": ("temperature", 1.0, 0.0),
-    }
-    meaning: dict[str, list[tuple[str, Quantity, float, float]]] = {}
-    for name, (channel, factor, zero) in channels.items():
-        quantity: Quantity | None = getattr(servo.inputs, name)
-        if quantity is not None:
-            meaning.setdefault(quantity.signal, []).append((channel, quantity, factor, zero))
-    for message in _messages_of(dbc_path(servo, document.path)):
-        signals = []
-        for signal in message.signals:
-            signals.append(signal)
-            for channel, quantity, factor, zero in meaning.get(f"{message.name}.{signal.name}", ()):
-                gain = factor * quantity.sign * quantity.scale
-                bias = factor * quantity.sign * quantity.offset + zero
-                signals.append(
-                    dataclasses.replace(
-                        signal,
-                        name=channel,
-                        factor=gain * signal.factor,
-                        offset=gain * signal.offset + bias,
-                        unit=_UNITS.get(channel, ""),
-                        low=None,
-                        high=None,
-                    )
-                )
-        yield dataclasses.replace(message, signals=tuple(signals))
-
-
 STAMPS = "time"  # name of the column of a message's time stamps
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
@@ -619,15 +461,12 @@ class CanTable(Table):
         for words in notes:
             self.note(words)
         frames = self._of_bus(found_frames, options.bus)
-        if not options.dbc_files and options.bench is None:
+        if not options.dbc_files:
             raise InputError(
                 f"{path}: CAN traffic, {_listed(frames)}; the meaning of the frames is unknown: "
-                "give a DBC file (read.dbc, or --dbc), or the bench file of the drive "
-                "(read.bench, or --bench)"
+                "give a DBC file (read.dbc, or --dbc)"
             )
         known = [message for name in options.dbc_files for message in _messages_of(Path(name))]
-        if options.bench is not None:
-            known = _messages_of_bench(Path(options.bench))
         named = self._named(frames, _by_identifier(known, {i for _, i in frames}))
         self._bases: list[_Base] = []
         self._columns: list[_Column] = []
@@ -686,8 +525,7 @@ class CanTable(Table):
         if not found:
             raise InputError(
                 f"{self.path}: none of the {len(known)} messages of the map is in the file, which "
-                f"holds {_listed(frames)}; name the DBC file of this bus or, with a bench file, "
-                "check its node numbers"
+                f"holds {_listed(frames)}; name the DBC file of this bus"
             )
         if unknown:
             count = sum(len(one.stamps) for one in unknown.values())

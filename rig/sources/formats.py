@@ -77,7 +77,7 @@ def open_here(path: Path, options: ReadSection | None) -> Table:
         module, name = FORMATS[format_of(path)].split(":")
         if name == "MatTable" and _is_hdf5(path):
             name = "Hdf5Table"
-        if name == "MdfTable" and options is not None and (options.dbc or options.bench):
+        if name == "MdfTable" and options is not None and options.dbc:
             # The meaning of the logged frames is given.
             module, name = "can_traffic", "CanTable"
         reader: type[Table] = getattr(importlib.import_module(f"rig.sources.{module}"), name)

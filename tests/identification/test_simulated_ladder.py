@@ -5,7 +5,6 @@ ranked on another mass.
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from identification.estimate.simulated_ladder import (
@@ -41,10 +40,8 @@ def aside(closed: bool = True) -> tuple[Recording, ...]:
     )
 
 
-def climbed(dataset: Dataset, draws: int = 3) -> dict[tuple[str, bool], SimulatedRung]:
-    rungs = climb_simulated(
-        dataset, bandwidth_Hz=BANDWIDTH_HZ, rng=np.random.default_rng(0), replicates=draws
-    )
+def climbed(dataset: Dataset) -> dict[tuple[str, bool], SimulatedRung]:
+    rungs = climb_simulated(dataset, bandwidth_Hz=BANDWIDTH_HZ)
     return {(r.friction, r.free): r for r in rungs}
 
 
@@ -55,15 +52,14 @@ def loops() -> dict[tuple[str, bool], SimulatedRung]:
 
 @pytest.mark.proof
 def test_constants_are_recovered_from_noisy_loops() -> None:
-    found = climbed(Dataset((*fitted(times=2), *aside())), draws=6)[TRANSMITTED, True]
+    found = climbed(Dataset((*fitted(times=2), *aside())))[TRANSMITTED, True]
     assert found.fitted["mu_gd"] == 1.0
     assert found.fitted["mu_gc"] == pytest.approx(TRUTH["mu_gc"], rel=0.1)
     assert found.fitted["mu_gs"] == pytest.approx(TRUTH["mu_gs"], rel=0.1)
     assert found.fitted["lateness"] == pytest.approx(LATENESS, abs=1.5e-3)
     # The noise alone has a mean absolute value of sqrt(2/pi) times its rms of 1 mrad.
-    assert found.train.value < 1.5 * math.sqrt(2.0 / math.pi) * 1e-3
-    assert found.scored.value < 2.0 * math.sqrt(2.0 / math.pi) * 1e-3
-    assert found.scored.low <= found.scored.value
+    assert found.train < 1.5 * math.sqrt(2.0 / math.pi) * 1e-3
+    assert found.scored < 2.0 * math.sqrt(2.0 / math.pi) * 1e-3
 
 
 def test_a_motor_stronger_than_declared_is_reported_as_moved(loops):
@@ -83,20 +79,19 @@ def test_a_motor_stronger_than_declared_is_reported_as_moved(loops):
 def test_a_stated_deviation_holds_a_constant(loops):
     sure = {"bench.torque_constant": 5e-4, "bench.resistance": 4e-3}
     recordings = tuple(replace(r, uncertainties=sure) for r in fitted())
-    found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
+    found = climbed(Dataset(recordings))[TRANSMITTED, True]
     constants = {c.name: c for c in found.constants}
     assert constants["resistance"].prior == pytest.approx(1e-3)
     assert abs(constants["resistance"].change) < 0.02
-    assert found.train.value > loops[TRANSMITTED, True].train.value
+    assert found.train > loops[TRANSMITTED, True].train
     assert found.scored is None
 
 
 def test_the_rung_that_made_the_data_predicts_another_mass_best(loops):
-    scored = {key: rung.scored.value for key, rung in loops.items() if rung.scored}
+    scored = {key: rung.scored for key, rung in loops.items() if rung.scored}
     assert scored[TRANSMITTED, True] < 0.7 * scored["stribeck_load_dependent", True]
     assert scored["stribeck_load_dependent", True] < 0.7 * scored["stribeck", True]
     assert scored[TRANSMITTED, True] < 0.5 * scored[TRANSMITTED, False]
-    assert sum(r.best for r in loops.values()) == pytest.approx(1.0)
     chosen = {key for key, rung in loops.items() if rung.chosen}
     assert {free for _, free in chosen} == {False, True}
     assert len(chosen) == 2
@@ -112,7 +107,7 @@ def test_a_load_that_depends_on_direction_is_recovered() -> None:
         for k, length in enumerate((0.05, 0.08, 0.11))
         for n in range(2)
     )
-    found = climbed(Dataset(recordings), draws=2)
+    found = climbed(Dataset(recordings))
     assert found[DIRECTIONAL, True].fitted["mu_gd"] == pytest.approx(2.0, rel=0.15)
     assert found[DIRECTIONAL, True].crossed < 0.9 * found[TRANSMITTED, True].crossed
 
@@ -126,7 +121,7 @@ def test_a_voltage_without_its_loop_is_predicted_from_reversal_to_reversal() -> 
     assert len(pieces) > 3
     assert sum(len(p.angle) for p in pieces) == len(recordings[0].time)
     assert pieces[1].velocity != 0.0
-    found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
+    found = climbed(Dataset(recordings))[TRANSMITTED, True]
     drive = next(c for c in found.constants if c.name == PER_VOLT)
     assert found.horizon_s < 1.0
     assert "lateness" in found.fitted
@@ -137,4 +132,4 @@ def test_a_voltage_without_its_loop_is_predicted_from_reversal_to_reversal() -> 
 def test_measured_torque_needs_no_prediction() -> None:
     torque = sine(rate=200.0)
     assert not predictable(torque)
-    assert not climbed(Dataset((torque,)), draws=1)
+    assert not climbed(Dataset((torque,)))

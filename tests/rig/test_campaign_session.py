@@ -95,17 +95,13 @@ def test_iso_times_make_a_common_clock(tmp_path: Path) -> None:
     assert "begins 1200 s into the session" in a.notes
 
 
-def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:
-    a, b = load(tmp_path, "  - {file: a.csv, order: 7}\n  - {file: b.csv, order: 2}\n")
-    assert b.start == 0.0
-    assert a.start == pytest.approx(30.0)
-    assert any("only the order is known" in note for note in a.notes)
-
-
 @pytest.mark.parametrize(
     ("recordings", "words"),
     [
-        ("  - {file: a.csv, start: 0}\n  - {file: b.csv}\n", "neither `start` nor `order`"),
+        (
+            "  - {file: a.csv, start: 0}\n  - {file: b.csv}\n",
+            "no `start`, but the first recording has `start` in seconds",
+        ),
         (
             "  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 2026-05-04T08:00:00}\n",
             "`start` as an ISO time, but the first recording has `start` in seconds",

@@ -19,7 +19,6 @@ from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import (
-    SAMPLE_SIZES,
     SAMPLE_TOPIC,
     decode_frames,
     decode_samples,
@@ -80,20 +79,6 @@ def test_samples_round_trip(rows: list[Sample]) -> None:
     columns = decode_samples(b"".join(map(encode_sample, rows)))
     for name, column in columns.items():
         np.testing.assert_array_equal(column, [float(getattr(r, name)) for r in rows])
-
-
-def test_samples_of_an_older_program_are_read(tmp_path: Path) -> None:
-    """Recordings made before there was a pressure have 16 fields a sample."""
-    recorder = open_recorder(tmp_path / "old.mcap")
-    for k in range(3):
-        recorder.copy(SAMPLE_TOPIC, k * 1_000_000, encode_sample(row(k))[: min(SAMPLE_SIZES)])
-    recorder.close()
-    log = read_run(tmp_path / "old.mcap")
-    assert log.damage is None
-    np.testing.assert_allclose(log.samples["time"], [0.0, 0.001, 0.002])
-    np.testing.assert_array_equal(log.samples["fresh"], 1.0)
-    assert np.all(np.isnan(log.samples["pressure"]))
-    assert len(SAMPLE_SIZES) == len(Sample._fields) - 15
 
 
 @given(frames)

@@ -18,7 +18,7 @@ from rig.common.tables import table
 from rig.results.document import reading_notes
 from rig.results.run.go_on import go_on_words
 from rig.results.run.report import REPORT_FILE
-from rig.runs.export import FORMATS, TRAFFIC, export_traffic, extension, files, with_ending
+from rig.runs.export import CANDUMP, FORMATS, export_traffic, extension, files, with_ending
 from rig.runs.export import export as export_one
 from rig.runs.exported import sidecar
 from rig.runs.recover import damaged_name, mend
@@ -49,8 +49,8 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     The export contains stages, masses, loads, constants and the channels that are means as well
     (for a CSV file in FILE.csv.json). A campaign that reads an export states its channels.
 
-    The formats candump (a .log file) and asc (Vector) contain the raw CAN frames of a run. An mcap
-    file contains these frames as can_msgs/msg/Frame, and the events.
+    The format candump (a .log file) contains the raw CAN frames of a run. An mcap file contains
+    these frames as can_msgs/msg/Frame, and the events.
 
     \b
     Example:
@@ -60,8 +60,8 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """
     path = with_ending(out, kind) if out else Path(f"{source_name(source)}.{extension(kind)}")
     require_file(path, "--out")
-    if kind in TRAFFIC:
-        return _traffic(source, path, kind)
+    if kind == CANDUMP:
+        return _traffic(source, path)
     dataset = load_source(source, partial=partial)
     run = (source, read_record(source)) if is_file(source / RUN_FILE) else None
     wanted = files(dataset, path, kind)
@@ -77,21 +77,16 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     return DONE
 
 
-def _traffic(source: Path, path: Path, kind: str) -> int:
+def _traffic(source: Path, path: Path) -> int:
     if not is_file(source / RUN_FILE):
         raise InputError(f"{source}: raw frames are in run folders only; name a run folder")
     record = read_record(source)
     _require_free([path])
     with usable(path, "written"), replacing(path) as draft:
-        count = export_traffic(source, record, draft, kind)
+        count = export_traffic(source, record, draft)
     click.echo(f"{path}: {count.frames} CAN frames of {', '.join(count.parts)}")
     if count.serial:
         click.echo(f"{count.serial} records of serial lines left out, which are not CAN frames")
-    if count.errors and kind == "asc":
-        click.echo(
-            f"{count.errors} error frames without identifier and data: an asc file has no place "
-            "for them"
-        )
     return DONE
 
 

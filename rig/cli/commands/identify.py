@@ -52,8 +52,7 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
     "--plan",
     "sequence",
     metavar="SEQUENCE",
-    help="Instead of SOURCE: predict which parameters this sequence determines, and propose a "
-    "better sequence of the same duration.",
+    help="Instead of SOURCE: predict which parameters this sequence determines.",
 )
 @click.option(
     "--bench", default="practical", help="With --plan: bench for which the sequence is planned."
@@ -108,8 +107,7 @@ def identify(
     means and spreads over the units, what they share, and which unit is odd.
 
     With --plan, nothing is identified: the command predicts which parameters a sequence determines,
-    and proposes a better sequence that takes no longer. The proposed sequence may have more stages
-    and other weights.
+    before it is run.
 
     \b
     Example:
@@ -127,14 +125,14 @@ def identify(
             "give either SOURCE, the recordings, or --plan SEQUENCE, a planned experiment"
         )
     if sequence is not None:
-        _plan(sequence, bench, nominal, current_noise, options["seed"], out, json_file)
+        _plan(sequence, bench, nominal, current_noise, out, json_file)
         return
     assert source is not None
     if compared and method == "paper":
         raise click.UsageError(
             "--compare compares the other methods with the default method; leave out --method paper"
         )
-    if method == "paper" and any(options[n] for n in ("ladder", "score", "profile", "draws")):
+    if method == "paper" and any(options[n] for n in _OF_ONE_UNIT):
         raise click.UsageError(
             "--ladder, --score, --profile and --bootstrap need the default method; leave "
             "--method paper out"
@@ -199,55 +197,43 @@ def _plan(
     bench: str,
     nominal: Path | None,
     current_noise: float | None,
-    seed: int,
     out: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Report which parameters a sequence would determine, and write a better sequence."""
+    """Report which parameters a sequence would determine."""
     from rig.common.places import require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
-    from rig.results.document import text, write_record, write_texts
-    from rig.results.identify.design import (
-        PROPOSAL_FILE,
-        RESULT_FILE,
-        plan_document,
-        plan_experiment,
-        plan_record,
-        proposal_text,
-    )
+    from rig.results.document import text, write_record
+    from rig.results.identify.plan import RESULT_FILE, plan_document, plan_experiment, plan_record
     from rig.terminal.output import ShareBar
 
     folder = out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     with ShareBar() as bar:
-        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
-    name = bench_file.value.name
-    write_record(plan_record(experiment, name), folder / RESULT_FILE, json_file)
-    write_texts({PROPOSAL_FILE: proposal_text(experiment, name)}, folder)
+        bar("simulating the experiment", 0.0)
+        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise)
+    write_record(plan_record(experiment, bench_file.value.name), folder / RESULT_FILE, json_file)
     click.echo(text(plan_document(experiment)))
-    click.echo(f"proposal: {folder / PROPOSAL_FILE}")
 
 
 @click.command("simulate")
 @click.argument("source", type=shared.PATH)
 @click.option(
     "--result",
-    "results",
     metavar="FILE",
-    multiple=True,
     required=True,
     type=shared.FILE,
-    help="Result file of rig identify or rig diagnose; may be given more than once.",
+    help="Result file of rig identify or rig diagnose.",
 )
 @shared.own_effects
-@shared.bandwidth("Bandwidth of the errors. [default: that of the first result]")
+@shared.bandwidth("Bandwidth of the errors. [default: that of the result]")
 @shared.out_folder("Folder for report and figures. [default: ./SOURCE-simulated]")
 @shared.result_file
 def simulate(
     source: Path,
-    results: tuple[Path, ...],
+    result: Path,
     effects_file: Path | None,
     bandwidth: float | None,
     out: Path | None,
@@ -258,10 +244,9 @@ def simulate(
 
     The model predicts torque, voltage and the difference of the encoders from the motion, with and
     without the effects of a diagnosis. If the campaign declares a controller, the closed loop is
-    also simulated, from its command alone; the errors of this simulation are listed beside those of
-    simulations with half of the friction and without friction. A 90 % band of the torque is stated
-    with the share of the samples that it holds, and recordings that leave the angles, speeds and
-    loads of the fit. The model as a simulated bench is written next to the report.
+    also simulated, from its command alone. A 90 % band of the torque is stated with the share of
+    the samples that it holds, and recordings that leave the angles, speeds and loads of the fit.
+    The model as a simulated bench is written next to the report.
 
     \b
     Example:
@@ -285,7 +270,7 @@ def simulate(
     require_folder(folder, "--out")
     with ShareBar() as bar:
         own = read_effects(effects_file)
-        found = simulate_source(source, results, bandwidth, bar, own)
+        found = simulate_source(source, result, bandwidth, bar, own)
         bar("writing the report", 1.0)
         write_record(simulation_record(found), folder / RESULT_FILE, json_file)
         bench, said = as_bench(source, found, own)

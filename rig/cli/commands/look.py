@@ -38,10 +38,6 @@ NEEDED = {
     type=click.Path(dir_okay=False),
     help="DBC file of recorded CAN traffic; may be given several times.",
 )
-@click.option(
-    "--bench",
-    help="Bench file, or packaged name, whose signal map applies to recorded CAN traffic.",
-)
 @click.option("--bus", help="Bus of recorded CAN traffic, by its name in the file.")
 @click.option(
     "--campaign", type=shared.FILE, help="Write a first campaign file, with a comment on every key."
@@ -53,7 +49,6 @@ def look(
     delimiter: str | None,
     decimal: str,
     dbc: tuple[str, ...],
-    bench: str | None,
     bus: str | None,
     campaign: Path | None,
     json_file: Path | None,
@@ -74,7 +69,7 @@ def look(
     from rig.common.places import write_json
 
     read: dict[str, Any] = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal}
-    read |= {"dbc": dbc or None, "bench": bench, "bus": bus}
+    read |= {"dbc": dbc or None, "bus": bus}
     looks = _looks(path, read)
     click.echo("\n\n".join(described(look) for look in looks))
     if json_file is not None:
@@ -101,8 +96,6 @@ def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
     if "dbc" in read:
         names = [relative(name) for name in read["dbc"]]
         found["dbc"] = names[0] if len(names) == 1 else names
-    if "bench" in read and Path(read["bench"]).suffix:
-        found["bench"] = relative(read["bench"])
     return found
 
 

@@ -16,6 +16,7 @@ from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE, hold_folder
 from rig.common.places import require_folder, usable, write_asked
 from rig.common.provenance import utc_now
+from rig.common.text import stored_path
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
@@ -30,7 +31,7 @@ from rig.planning.predicted_load import PredictedLoad, friction_model, of_anothe
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
-from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
+from rig.runs.recorded_inputs import recorded_acceptance
 from rig.runs.recover import prepare, stopped_words
 from rig.runs.run import (
     bench_constants,
@@ -235,7 +236,7 @@ def resume(
     reference = None if identification is None else load_reference(identification, constants)
     record, feedforward = resumed.record, None
     if (stated := record.inputs.get(FEEDFORWARD_INPUT)) is not None:
-        feedforward = load_feedforward(recorded_input(run, stated), constants)
+        feedforward = load_feedforward(stored_path(stated["file"]), constants)
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
     first = first_unfinished(record) or 0

@@ -1,4 +1,4 @@
-"""``rig runs``: lists, shows, compares, studies, verifies and accepts recorded runs."""
+"""``rig runs``: lists, shows, compares, studies and accepts recorded runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
-from rig.common.places import require_folder, usable, write_asked
+from rig.common.places import require_folder, write_asked
 from rig.runs.catalogue.entry import VERDICTS
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 
 @click.group("runs")
 def command() -> None:
-    """List, show, compare, study, accept and verify recorded runs.
+    """List, show, compare, study and accept recorded runs.
 
     An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
@@ -96,7 +96,7 @@ def command() -> None:
     Example:
       rig runs list --since 2026-11-01 --verdict done
       rig runs show runs/demo
-      rig runs verify runs/demo
+      rig runs accept runs/demo --acceptance limits.yaml
     """
 
 
@@ -287,37 +287,6 @@ def study(
     _show(study_document(found), out)
 
 
-@command.command("verify")
-@click.argument("runs", nargs=-1, required=True, type=shared.PATH)
-@_page
-@shared.result_file
-def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
-    """Compare the files of RUNS with their recorded digests (SHA-256).
-
-    RUNS are run folders, or folders that contain run folders. At the end of a run, the program
-    writes the digests to SHA256SUMS in the run folder; `sha256sum -c` reads this file as well. The
-    exit status is 1 if a file is changed, damaged or missing.
-
-    \b
-    Example:
-      rig runs verify runs/demo
-      rig runs verify runs
-    """
-    from rig.results.catalogue.listing import verification_document, verification_record
-    from rig.runs.catalogue.index import find_runs
-    from rig.runs.catalogue.verify import verify as verified
-
-    found = []
-    for run in runs:
-        folders = sorted(run / each.folder for each in _looked_into(find_runs, run))
-        if not folders:
-            raise InputError(f"{run}: this folder contains no run")
-        found += [verified(folder) for folder in folders]
-    _write(json_file, lambda: verification_record(found))
-    _show(verification_document(found), out)
-    return DONE if all(each.good for each in found) else BAD_VERDICT
-
-
 @command.command("accept")
 @click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
@@ -348,11 +317,6 @@ def accept(
     found = accept_run(run, limits, source, junit_file)
     write_asked(json_file, found.record)
     return DONE if found.accepted else BAD_VERDICT
-
-
-def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
-    with usable(folder, "searched"):
-        return list(find(folder))
 
 
 def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[Entry]]:

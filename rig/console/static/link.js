@@ -3,7 +3,7 @@
 const KEPT = "loadrig-token";
 const REPLY_MS = 4000;
 const LONG_MS = 200000;
-const LONG = ["/dry-run", "/compare", "/trend", "/off"];
+const LONG = ["/dry-run", "/off"];
 const STOPS = 5; // how often a STOP is sent again whose connection broke
 const RETRY_MS = 500;
 const REFUSED_MS = 5000; // the console has no room for a further page

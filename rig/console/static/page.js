@@ -26,7 +26,7 @@ const charts = new Charts(at("charts"), ask);
 const friction = new Friction(at("friction"), at("friction-legend"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
 const start = setUpStart(link, say, awaitRun);
-const recorded = new Recorded(going, showJudged, link);
+const recorded = new Recorded(going, showJudged);
 
 // Words about a run are removed when the page shows another run, and give way to what the run is
 // doing when its phase changes.
@@ -368,7 +368,6 @@ function showControls() {
   at("stop-label").textContent = again ? "STOP again: power off at once, without the ramp" : "STOP";
   at("make-safe").disabled = stop.disabled || makingSafe;
   start.allow(mine);
-  recorded.allow(may);
 }
 
 async function pressStop() {

@@ -1,13 +1,10 @@
-// Starts a run after showing its dry run; and the list of the runs in the folder of this console, with the pages in the run folders, and with
-// pages made from several runs: comparisons and trends.
+// Starts a run after showing its dry run; and the list of the runs in the folder of this
+// console, with the pages in the run folders.
 
 const at = (id) => document.getElementById(id);
 const AFTER_MS = 4000; // between two lists after a run has ended: a verdict may follow
 const AFTER_FOR_MS = 300000;
 const ELSE_MS = 60000;
-const LEAST = 2; // runs of a comparison
-const MOST = 6;
-const KEPT = 5; // links to pages that were made
 
 function choose(select, first, names) {
   const wanted = select.value;
@@ -20,12 +17,8 @@ function choose(select, first, names) {
 
 export class Recorded {
   // `going`: whether a run is in progress; the list is then read only on request of the user.
-  constructor(going, shown, link) {
+  constructor(going, shown) {
     this.list = null;
-    this.link = link;
-    this.may = false;
-    this.making = false;
-    this.chosen = new Set();
     this.going = going;
     this.shown = shown;
     this.read = -Infinity;
@@ -35,14 +28,6 @@ export class Recorded {
     for (const id of ["recorded-bench", "recorded-last"]) {
       at(id).addEventListener("change", () => this.take());
     }
-    at("recorded").addEventListener("change", (event) => this.choose(event.target));
-    // While a run is in progress, the space bar is STOP; a checkbox is then changed with Enter.
-    at("recorded").addEventListener("keydown", (event) => {
-      if (event.key === "Enter" && event.target.type === "checkbox") event.target.click();
-    });
-    at("compare").addEventListener("click", () => this.make("/compare", { runs: [...this.chosen] }));
-    at("trend").addEventListener("click", () =>
-      this.make("/trend", { constant: at("constant").value, ...this.choice() }));
     setInterval(() => this.watch(), 1000);
   }
 
@@ -74,79 +59,19 @@ export class Recorded {
       at("recorded-words").textContent = "The list could not be read.";
       return;
     }
-    const { root, count, problem, runs, benches, constants } = this.list;
+    const { root, count, problem, runs, benches } = this.list;
     const more = count > runs.length ? `, ${runs.length} of which are listed` : "";
     at("recorded-words").textContent = problem
       || `${count} ${count === 1 ? "run" : "runs"} in ${root}${more}; \`rig runs list\` lists all runs.`;
     choose(at("recorded-bench"), [new Option("every bench", "")], benches);
-    choose(at("constant"), constants.length ? [] : [new Option("none known", "")], constants);
-    const listed = new Set(runs.filter((run) => run.comparable).map((run) => run.folder));
-    for (const folder of this.chosen) if (!listed.has(folder)) this.chosen.delete(folder);
     const rows = runs.map((run) => this.row(run));
-    // While a link or a checkbox has the focus, the list is kept, because a new list has no focus.
+    // While a link has the focus, the list is kept, because a new list has no focus.
     if (!at("recorded").contains(document.activeElement)) at("recorded").replaceChildren(...rows);
-    this.showButtons();
     this.shown();
-  }
-
-  choose(box) {
-    if (box.checked) this.chosen.add(box.value);
-    else this.chosen.delete(box.value);
-    this.showButtons();
-  }
-
-  // Whether this page may request comparisons and trends: only with the token (processor time).
-  allow(may) {
-    this.may = may;
-    this.showButtons();
-  }
-
-  showButtons() {
-    const count = this.chosen.size;
-    const on = this.may && !this.making;
-    at("compare").disabled = !on || count < LEAST || count > MOST;
-    at("trend").disabled = !on || !at("constant").value;
-    const words = this.may ? `${count} runs chosen. Choose ${LEAST} to ${MOST} runs. ${this.compared()}`
-      : "Read only: without the token, no comparisons and trends are made, because they take processor time.";
-    if (at("chosen-words").textContent !== words) at("chosen-words").textContent = words;
-  }
-
-  // States what a comparison of the chosen runs contains, and which identification is missing.
-  compared() {
-    const bare = (this.list?.runs || []).filter((run) => this.chosen.has(run.folder) && !run.identified);
-    const without = bare.length
-      ? ` Not identified, so compared without constants: ${bare.map((run) => run.folder).join(", ")}; \`rig identify RUN\` at a terminal identifies a run.` : "";
-    const trend = this.list && !this.list.constants.length
-      ? " No listed run is identified, so there is no constant to follow." : "";
-    return `Measured values are compared side by side, constants with those of the earliest identified run.${without}${trend}`;
-  }
-
-  async make(path, content) {
-    this.making = true;
-    this.showButtons();
-    at("made-words").textContent = "The console is making the page.";
-    const answer = await this.link.post(path, content);
-    this.making = false;
-    this.showButtons();
-    if (!answer.ok) {
-      at("made-words").textContent = `The page was not made: ${answer.words}`;
-      return;
-    }
-    at("made-words").textContent = "The page is ready; open it below.";
-    const link = document.createElement("a");
-    link.href = answer.page;
-    link.target = "_blank";
-    link.rel = "noopener";
-    link.textContent = answer.words;
-    const line = document.createElement("li");
-    line.append(link);
-    at("made").prepend(line);
-    while (at("made").children.length > KEPT) at("made").lastChild.remove();
   }
 
   row(run) {
     const line = document.createElement("tr");
-    line.append(this.box(run));
     const [state, verdict] = run.cells.slice(-2);
     const cells = [run.folder, ...run.cells.slice(0, -2),
       run.problem ? `${state}: ${run.problem}` : state, verdict];
@@ -160,25 +85,6 @@ export class Recorded {
     pages.append(...this.links(run));
     line.append(pages);
     return line;
-  }
-
-  // A checkbox for a run that is complete enough to be compared.
-  box(run) {
-    const cell = document.createElement("td");
-    if (!run.comparable) {
-      cell.textContent = "-";
-      return cell;
-    }
-    const label = document.createElement("label");
-    const box = document.createElement("input");
-    label.className = "box";
-    box.type = "checkbox";
-    box.value = run.folder;
-    box.checked = this.chosen.has(run.folder);
-    box.setAttribute("aria-label", `Compare ${run.folder}`);
-    label.append(box);
-    cell.append(label);
-    return cell;
   }
 
   links(run) {

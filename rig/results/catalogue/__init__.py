@@ -1,1 +1,1 @@
-"""Output on recorded runs: lists, single runs, comparisons, trends and verification."""
+"""Output on recorded runs: lists, single runs, comparisons, trends and studies."""

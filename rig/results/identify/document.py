@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from identification.estimate.ladder import Interval, Rung, Transfer
+from identification.estimate.ladder import Rung, Transfer
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import PER_VOLT, Constant, SimulatedRung
 from identification.model.parameters import LADDER, LINEAR, SIMULATED
@@ -291,27 +291,27 @@ def _ladder_table(rungs: Sequence[Rung]) -> Table:
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
     scale = 1e3 if first.motion == "rotary" else 1e6
+
+    def of_angle(rung: Rung, measure: str) -> str:
+        return "-" if rung.angle is None else number(scale * getattr(rung.angle, measure), 3)
+
     return _columns(
         rungs,
-        (2, 4, 6, 8, 10),
+        (2, 3, 4, 5),
         ("friction", lambda r: r.friction),
         ("terms", lambda r: ", ".join(LADDER[r.friction])),
-        *_with_interval(f"fit ({unit})", lambda r: r.train),
-        *_with_interval(f"validate ({unit})", lambda r: r.scored),
-        *_with_interval(f"angle ({small})", lambda r: r.angle, scale),
-        *_with_interval(f"angle, MAE ({small})", lambda r: r.angle_mae, scale),
-        ("best in", lambda r: percent(100.0 * r.best)),
+        (f"fit ({unit})", lambda r: number(r.result.fit.train_rms, 3)),
+        (f"validate ({unit})", lambda r: number(r.result.fit.validate_rms, 3)),
+        (f"angle ({small})", partial(of_angle, measure="angle_rms")),
+        (f"angle, MAE ({small})", partial(of_angle, measure="angle_mae")),
     )
 
 
 def _ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     first = rungs[0]
-    where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
-    lines = [
-        f"Torque errors are at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are from "
-        "bootstrap draws of the recordings to fit and of the recordings to score.",
-        f"Best in: share of the draws in which a rung has the least torque error on {where}.",
-    ]
+    fit = first.result.fit
+    where = "the recordings set aside" if fit.validate_rms is not None else "the recordings fitted"
+    lines = [f"Torque errors are at {number(fit.bandwidth_Hz, 3)} Hz."]
     if first.angle is not None:
         lines.append(
             f"Angle: rms and mean absolute error of the closed loop simulated from its command and "
@@ -369,22 +369,6 @@ def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str
         "-" if rms is None else f"{number(rms, 4)} {fit.unit}",
         percent(None if relative is None else 100.0 * relative),
     )
-
-
-def _with_interval(
-    title: str, error: Callable[[Any], Interval | None], scale: float = 1.0
-) -> tuple[tuple[str, Callable[[Any], str]], tuple[str, Callable[[Any], str]]]:
-    """Return a column of errors and the column of their intervals."""
-
-    def value(item: Any) -> str:
-        found = error(item)
-        return "-" if found is None else number(scale * found.value, 3)
-
-    def reach(item: Any) -> str:
-        found = error(item)
-        return "-" if found is None else interval(scale * found.low, scale * found.high)
-
-    return (title, value), ("90 %", reach)
 
 
 def parameter_table(
@@ -500,14 +484,13 @@ def _simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
 
     return _columns(
         rungs,
-        (3, 5, 6, 8, *range(9, 9 + len(names))),
+        (3, 4, 5, *range(6, 6 + len(names))),
         ("friction", lambda r: r.friction),
         ("terms", lambda r: ", ".join(SIMULATED[r.friction])),
         ("motor constants", lambda r: "free" if r.free else "declared"),
-        *_with_interval(f"fit, MAE ({small})", lambda r: r.train, scale),
+        (f"fit, MAE ({small})", lambda r: number(scale * r.train, 3)),
         ("cross-validated", crossed),
-        *_with_interval("validate", lambda r: r.scored, scale),
-        ("best in", lambda r: f"{100.0 * r.best:.3g} %"),
+        ("validate", lambda r: "-" if r.scored is None else number(scale * r.scored, 3)),
         *((name, partial(_change, name=name)) for name in names),
         ("by cross-validation", lambda r: "least" if r.chosen else "tied" if r.tied else ""),
     )

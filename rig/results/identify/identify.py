@@ -123,12 +123,10 @@ def _ladders(
     """Return the friction models fitted to torque and to simulated angle, if requested."""
     if not request.ladder:
         return (), ()
-    hertz = request.bandwidth_Hz
+    hertz, rng = request.bandwidth_Hz, np.random.default_rng(request.seed)
     with _named(source):
-        rng = np.random.default_rng(request.seed)
         rungs = climb(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
-        rng = np.random.default_rng(request.seed)
-        return rungs, climb_simulated(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
+        return rungs, climb_simulated(dataset, bandwidth_Hz=hertz, progress=progress)
 
 
 def _identified(
@@ -228,11 +226,8 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
             "parameters": by_name(rung.result.parameters.values()),
             "fitted": plain(rung.result.fitted),
             "fit": plain(rung.result.fit),
-            "train_rms": plain(rung.train),
-            "validate_rms": plain(rung.scored),
-            "angle_rms": plain(rung.angle),
-            "angle_mae": plain(rung.angle_mae),
-            "best_share": rung.best,
+            "angle_rms": None if rung.angle is None else rung.angle.angle_rms,
+            "angle_mae": None if rung.angle is None else rung.angle.angle_mae,
         }
         for rung in rungs
     ]
@@ -247,11 +242,10 @@ def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
             "motor_constants": "free" if rung.free else "declared",
             "alpha": rung.alpha,
             "fitted": plain(rung.fitted),
-            "train_mae": plain(rung.train),
+            "train_mae": finite(rung.train),
             "cross_validated_mae": finite(rung.crossed),
-            "validate_mae": plain(rung.scored),
+            "validate_mae": finite(rung.scored),
             "horizon_s": finite(rung.horizon_s),
-            "best_share": rung.best,
             "chosen": rung.chosen,
             "tied": rung.tied,
             "constants": {

@@ -6,7 +6,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from identification.simulation.closed_loop import (
     compare,
     pooled,
     replay,
-    with_friction,
 )
 from identification.views.predicted import Predicted, rms
 from rig.common.errors import InputError
@@ -47,14 +45,11 @@ from rig.results.document import (
 )
 from rig.sources import load_source
 
-FittedModel = tuple[Path, CorrectedModel]  # a result file and its model
-
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of one model for every recording."""
+    """Prediction of the model for every recording, with its effects or without."""
 
-    file: Path
     effects: tuple[str, ...]
     parts: tuple[Predicted, ...]
 
@@ -63,39 +58,22 @@ class Prediction:
         return rms(p for p in self.parts if p.equation == equation and p.role == role)
 
 
-def predict(
-    dataset: Dataset, models: Sequence[FittedModel], bandwidth_Hz: float
-) -> list[Prediction]:
-    """Predict every recording with every model, and without effects if the model has some."""
-    found = []
-    for file, model in models:
-        seen = views_for(dataset.recordings, bandwidth_Hz, model)
-        forms = [model]
-        if model.effects or model.curve is not None:
-            forms.append(dataclasses.replace(model, effects={}, curve=None))
-        for form in forms:
-            names = (*form.effects, *(["curve"] if form.curve is not None else []))
-            found.append(
-                Prediction(file, names, tuple(p for view in seen for p in predictions(view, form)))
-            )
-    return found
+def predict(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> list[Prediction]:
+    """Predict every recording with a model, and without effects if the model has some."""
+    seen = views_for(dataset.recordings, bandwidth_Hz, model)
+    forms = [model]
+    if model.effects or model.curve is not None:
+        forms.append(dataclasses.replace(model, effects={}, curve=None))
+    return [
+        Prediction(
+            (*form.effects, *(["curve"] if form.curve is not None else [])),
+            tuple(p for view in seen for p in predictions(view, form)),
+        )
+        for form in forms
+    ]
 
 
 RESULT_FILE = "simulate.json"
-SHARES = (1.0, 0.5, 0.0)  # factors on the friction of a result, whose errors are references
-
-
-@dataclass(frozen=True)
-class Case:
-    """One model with one share of its friction, simulated on every recording."""
-
-    file: Path
-    share: float
-    sums: Mapping[str, Sums]
-
-    def over(self, names: Sequence[str]) -> Sums:
-        """Return the pooled sums of some recordings."""
-        return pooled(self.sums[name] for name in names)
 
 
 @dataclass(frozen=True)
@@ -103,22 +81,23 @@ class Simulation:
     """Result of ``rig simulate``."""
 
     dataset: Dataset
-    models: tuple[FittedModel, ...]  # models in the requested order
-    # Equation errors of every model, with its effects and without.
+    file: Path  # result file of the model
+    model: CorrectedModel
+    # Equation errors of the model, with its effects and without.
     predictions: tuple[Prediction, ...]
     # The recordings at the bandwidth of the torque errors, in their order.
     prepared: tuple[Prepared, ...]
-    # Every model with every share of friction, in closed loop, without effects; empty if the
-    # controller of a recording is unknown.
-    cases: tuple[Case, ...]
-    # Responses of the first model with full friction, in the order of the recordings.
+    # Errors of the closed loop without effects, by recording; empty if the controller of a
+    # recording is unknown.
+    sums: Mapping[str, Sums]
+    # Responses of the closed loop, in the order of the recordings.
     responses: tuple[Response, ...]
     bandwidth_Hz: float  # bandwidth of the torque errors
     provenance: Provenance
     # Texts on recordings that are too short for the bandwidth and left out, and on effects of one's
     # own from another version of their file.
     short: tuple[str, ...] = ()
-    # Torque of the first model with its 90 % band, in the order of the recordings; empty if its
+    # Torque of the model with its 90 % band, in the order of the recordings; empty if its
     # result file has no covariance.
     bands: tuple[Banded, ...] = ()
 
@@ -147,50 +126,61 @@ class Simulation:
         """Return the recordings of one role."""
         return [r.name for r in self.dataset.recordings if r.role == role]
 
+    def pooled(self) -> dict[str, Sums]:
+        """Return the errors of the closed loop over each role that has recordings."""
+        return {
+            role: pooled(self.sums[name] for name in names)
+            for role in ("fit", "validate")
+            if (names := self.names(role))
+        }
+
 
 def simulate_source(
     source: Path,
-    results: Sequence[Path],
+    result: Path,
     bandwidth_Hz: float | None,
     progress: Callable[[str, float], None],
     own: OwnFile = NO_FILE,
 ) -> Simulation:
-    """Predict every recording of a source with the model of each result file, and simulate the
-    closed loop if the controller is known.
+    """Predict every recording of a source with the model of a result file, and simulate the closed
+    loop if the controller is known.
 
-    ``bandwidth_Hz``: bandwidth of the errors, or None for the bandwidth of the first result, or
-    chosen as in the identification; ``own``: file with the effects of one's own of a result.
+    ``bandwidth_Hz``: bandwidth of the errors, or None for the bandwidth of the result, or chosen as
+    in the identification; ``own``: file with the effects of one's own of a result.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source)
-    records = [read_result(path) for path in results]
-    models = _models(dataset, results, records, own)
-    bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
+    record = read_result(result)
+    require_motion(record, dataset.recordings[0].bench.motion, str(result))
+    names = [r.name for r in dataset.recordings]
+    model = model_of(record, names, str(result), own.catalogue)
+    bandwidth_Hz = bandwidth_Hz or record.get("fit", {}).get("bandwidth_Hz")
     try:
         dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
-        predictions = predict(dataset, models, bandwidth_Hz)
-        bands = _bands(results[0], records[0], models[0][1], dataset, bandwidth_Hz)
+        predictions = predict(dataset, model, bandwidth_Hz)
+        bands = _bands(result, record, model, dataset, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
-        cases, responses = _closed_loop(models if known else (), prepared, progress)
+        sums, responses = _closed_loop(model, prepared if known else (), progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     except EffectError as error:
         raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     provenance = Provenance.of(0, dataset.recordings, seconds, source, dataset.tables)
-    read = {str(path): sha256_file(path) for path in results}
+    read = {str(result): sha256_file(result)}
     return Simulation(
         dataset,
-        models,
+        result,
+        model,
         tuple(predictions),
         prepared,
-        tuple(cases),
+        sums,
         tuple(responses),
         bandwidth_Hz,
         dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
-        (*short, *_other_files(results, records, own)),
+        (*short, *_other_file(result, record, own)),
         bands,
     )
 
@@ -216,61 +206,35 @@ def _bands(
     )
 
 
-def _models(
-    dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]], own: OwnFile
-) -> tuple[FittedModel, ...]:
-    """Return the models of result files of benches with the recordings' kind of motion."""
-    names = [r.name for r in dataset.recordings]
-    for path, record in zip(files, records, strict=True):
-        require_motion(record, dataset.recordings[0].bench.motion, str(path))
-    return tuple(
-        (path, model_of(record, names, str(path), own.catalogue))
-        for path, record in zip(files, records, strict=True)
-    )
-
-
-def _other_files(
-    files: Sequence[Path], records: Sequence[Mapping[str, Any]], own: OwnFile
-) -> Iterator[str]:
-    for path, record in zip(files, records, strict=True):
-        made = record.get("effects_file")
-        if made is not None and own.path is not None and made["sha256"] != own.sha256:
-            yield f"{path} was made with another version of {own.path} (see its SHA-256)"
+def _other_file(path: Path, record: Mapping[str, Any], own: OwnFile) -> Iterator[str]:
+    made = record.get("effects_file")
+    if made is not None and own.path is not None and made["sha256"] != own.sha256:
+        yield f"{path} was made with another version of {own.path} (see its SHA-256)"
 
 
 def _closed_loop(
-    models: Sequence[FittedModel],
-    prepared: Sequence[Prepared],
-    progress: Callable[[str, float], None],
-) -> tuple[list[Case], list[Response]]:
-    """Simulate every model and share of friction; return cases, and first responses."""
-    cases: list[Case] = []
-    shown: list[Response] = []
-    total = len(models) * len(SHARES) * len(prepared)
-    for (file, model), share in product(models, SHARES):
-        sums: dict[str, Sums] = {}
-        for p in prepared:
-            done = len(cases) * len(prepared) + len(sums)
-            progress(f"simulating {p.recording.name}", done / total)
-            values = with_friction(model.parameters, share)
-            response = replay(p.recording, values, model.alpha)
-            sums[p.recording.name] = compare(p, response)
-            if not cases:
-                shown.append(response)
-        cases.append(Case(file, share, sums))
-    return cases, shown
+    model: CorrectedModel, prepared: Sequence[Prepared], progress: Callable[[str, float], None]
+) -> tuple[dict[str, Sums], list[Response]]:
+    """Simulate the recordings; return the errors by recording, and the responses."""
+    sums: dict[str, Sums] = {}
+    responses: list[Response] = []
+    for p in prepared:
+        progress(f"simulating {p.recording.name}", len(sums) / len(prepared))
+        responses.append(replay(p.recording, model.parameters, model.alpha))
+        sums[p.recording.name] = compare(p, responses[-1])
+    return sums, responses
 
 
 def as_bench(
     source: Path, found: Simulation, own: OwnFile = NO_FILE
 ) -> tuple[dict[str, str], list[str]]:
-    """Return the first model as a simulated bench (file name to text), and remarks on this bench.
+    """Return the model as a simulated bench (file name to text), and remarks on this bench.
 
     If the model cannot be a simulated bench, there is no file, and the remarks state why.
     """
     try:
         constants = found.dataset.recordings[0].bench
-        bench, left_out = model_bench(base_bench(source), found.models[0][1], constants, own)
+        bench, left_out = model_bench(base_bench(source), found.model, constants, own)
         said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
         return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
     except InputError as error:
@@ -278,15 +242,13 @@ def as_bench(
 
 
 _SHOWN_PER_ROLE = 3
-_FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
 
 
 def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
     """Return a simulation as a document."""
-    models = dict.fromkeys(str(one.file) for one in found.predictions)
     return Document(
         f"Simulation of {name}",
-        f"Model: {', '.join(models)}",
+        f"Model: {found.file}",
         tuple(_summary(found)),
         tuple(_sections(found, beside)),
     )
@@ -295,7 +257,7 @@ def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Do
 def _summary(found: Simulation) -> Iterator[Section]:
     bandwidth = f"{number(found.bandwidth_Hz, 3)} Hz"
     yield Section(f"equation errors at {bandwidth}, in motion", (_errors_of_equations(found),))
-    if found.cases:
+    if found.sums:
         head = f"closed loop, simulated from the first sample; torque filtered to {bandwidth}"
         yield Section(head, (_pooled(found),))
     for line in (*_band_lines(found), *_left_out(found)):
@@ -306,7 +268,7 @@ def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
     yield Section("", tuple(map(Paragraph, (*_explanations(found), *beside))))
     drawn = _predicted(found)
     yield Section("Equation errors", (_errors_of_equations(found), *drawn))
-    if found.cases:
+    if found.sums:
         yield Section("Closed loop", (_pooled(found),))
         yield Section("Recordings", (_of_recordings(found), *_simulated(found)))
     yield provenance_section(found.provenance)
@@ -316,7 +278,7 @@ def _explanations(found: Simulation) -> Iterator[str]:
     at = f"at {number(found.bandwidth_Hz, 4)} Hz"
     yield f"Equation errors are over samples in motion, {at}."
     yield from (*_band_lines(found), *_left_out(found))
-    if found.cases:
+    if found.sums:
         yield (
             "The closed loop is simulated from the first sample on; its inputs are only the "
             "command, the supply and the declared loads."
@@ -339,13 +301,13 @@ def _band_lines(found: Simulation) -> Iterator[str]:
 
 def _left_out(found: Simulation) -> list[str]:
     """Return remarks on what is left out or not simulated."""
-    if not found.cases:
+    if not found.sums:
         return [
             *found.short,
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
             "a campaign)",
         ]
-    if any(model.effects for _, model in found.models):
+    if found.model.effects:
         return [
             *found.short,
             "the closed loop is simulated without the effects; a simulated bench made from the "
@@ -355,7 +317,7 @@ def _left_out(found: Simulation) -> list[str]:
 
 
 def _errors_of_equations(found: Simulation) -> Table:
-    """Return one row for each model, equation and role."""
+    """Return one row for each equation, with the effects of the model and without."""
     rows = []
     units = {"transmission": "mrad" if found.rotary else "um", "voltage": "V"}
     small = 1e3 if found.rotary else 1e6
@@ -365,35 +327,23 @@ def _errors_of_equations(found: Simulation) -> Table:
             scale = small if equation == "transmission" else 1.0
             cells = (number(None if e is None else scale * e, 4) for e in errors)
             effects = ", ".join(one.effects) or "none"
-            rows.append((one.file.stem, effects, equation, *cells, units.get(equation, found.unit)))
-    return Table(
-        ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
-    )
+            rows.append((effects, equation, *cells, units.get(equation, found.unit)))
+    header = ("effects", "equation", "rms, fit", "rms, validate", "unit")
+    return Table(header, tuple(rows), (2, 3))
 
 
 def _pooled(found: Simulation) -> Table:
-    """Return one row for each model, share of friction and role."""
+    """Return one row for each role."""
     rows = [
-        (
-            case.file.stem,
-            _FRICTION[case.share],
-            role,
-            str(len(names)),
-            *_cells(found, case.over(names)),
-        )
-        for case in found.cases
-        for role in ("fit", "validate")
-        if (names := found.names(role))
+        (role, str(len(found.names(role))), *_cells(found, sums))
+        for role, sums in found.pooled().items()
     ]
-    return Table(
-        ("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6)
-    )
+    return Table(("role", "recordings", *_errors(found)), tuple(rows), (1, 2, 3, 4))
 
 
 def _of_recordings(found: Simulation) -> Table:
-    first = found.cases[0]
     rows = tuple(
-        (r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings
+        (r.name, r.role, *_cells(found, found.sums[r.name])) for r in found.dataset.recordings
     )
     return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
 
@@ -417,7 +367,7 @@ def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
 
 
 def _predicted(found: Simulation) -> list[Picture]:
-    """Return figures of the first model's torque equation, for a few recordings."""
+    """Return figures of the torque equation, for a few recordings."""
     parts = [p for p in found.predictions[0].parts if p.equation == "torque"]
     names = [r.name for r in found.dataset.recordings]
     bands = dict(zip(names, found.bands, strict=False))
@@ -432,7 +382,7 @@ def _predicted(found: Simulation) -> list[Picture]:
 
 
 def _simulated(found: Simulation) -> list[Picture]:
-    """Return figures of the first model's closed loop, for a few recordings."""
+    """Return figures of the closed loop, for a few recordings."""
     pairs = list(zip(found.prepared, found.responses, strict=True))
     shown = few_of_each_role(pairs, lambda pair: pair[0].recording.role, _SHOWN_PER_ROLE)
     return [
@@ -445,13 +395,14 @@ def _simulated(found: Simulation) -> list[Picture]:
     ]
 
 
-SIMULATE_SCHEMA = "loadrig.simulate/1"
+SIMULATE_SCHEMA = "loadrig.simulate/2"
 
 
 def simulation_record(found: Simulation) -> dict[str, Any]:
     """Return the record of ``rig simulate --json``."""
     return {
         **found.provenance.record(SIMULATE_SCHEMA),
+        "result": str(found.file),
         "unit": found.unit,
         "angle_unit": "rad" if found.rotary else "m",
         "bandwidth_Hz": found.bandwidth_Hz,
@@ -463,16 +414,20 @@ def simulation_record(found: Simulation) -> dict[str, Any]:
                 for r, b in zip(found.dataset.recordings, found.bands, strict=False)
             },
         },
-        "cases": [_case_record(found, case) for case in found.cases],
+        "closed_loop": {
+            **{role: _sums_record(sums) for role, sums in found.pooled().items()},
+            "recordings": {name: _sums_record(sums) for name, sums in found.sums.items()},
+        }
+        if found.sums
+        else None,
     }
 
 
 def _record_errors(found: Simulation) -> list[dict[str, object]]:
-    """Return the prediction errors of each result, one entry per equation, SI units."""
+    """Return the prediction errors, one entry per equation, SI units."""
     units = {"transmission": "rad" if found.rotary else "m", "voltage": "V"}
     return [
         {
-            "result": str(one.file),
             "effects": list(one.effects),
             "equation": equation,
             "unit": units.get(equation, found.unit),
@@ -482,16 +437,6 @@ def _record_errors(found: Simulation) -> list[dict[str, object]]:
         for one in found.predictions
         for equation in dict.fromkeys(p.equation for p in one.parts)
     ]
-
-
-def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
-    roles = {role: names for role in ("fit", "validate") if (names := found.names(role))}
-    return {
-        "result": str(case.file),
-        "friction_share": case.share,
-        **{role: _sums_record(case.over(names)) for role, names in roles.items()},
-        "recordings": {name: _sums_record(sums) for name, sums in case.sums.items()},
-    }
 
 
 def _sums_record(sums: Sums) -> dict[str, float]:

@@ -28,9 +28,7 @@ TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
 CLOCK_METADATA = "clock"
-"""Metadata of a recording whose frames have times on the clock of the recording. Recordings of
-earlier versions lack it; the times of their frames count from an unknown origin.
-"""
+"""Metadata of a recording that states the start of the recording by the host's clock."""
 EVENT_JSON_SCHEMA = (
     b'{"type":"object","properties":{"time":{"type":"number"},"event":{"type":"string"}},'
     b'"required":["time","event"]}'
@@ -80,24 +78,13 @@ _SAMPLE = struct.Struct("<" + "".join(f"{len(tag)}sd" for tag in _TAGS))
 _TEMPLATE: list[bytes | float] = [part for tag in _TAGS for part in (tag, 0.0)]
 SAMPLE_BYTES = _SAMPLE.size
 
-_FIRST_FIELDS = 16
-"""Number of fields of a sample in the oldest recordings; later fields follow these."""
-
-
-def _sample_dtype(count: int) -> np.dtype[np.void]:
-    """Return the layout of a sample of the first ``count`` fields."""
-    named = zip(_TAGS[:count], Sample._fields[:count], strict=True)
-    return np.dtype(
-        [item for tag, name in named for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))]
-    )
-
-
-_DTYPES = {
-    dtype.itemsize: dtype
-    for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))
-}
-SAMPLE_SIZES = frozenset(_DTYPES)
-"""Sizes, in bytes, of samples that this version or older versions have written."""
+_DTYPE = np.dtype(
+    [
+        item
+        for tag, name in zip(_TAGS, Sample._fields, strict=True)
+        for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))
+    ]
+)
 
 
 def encode_sample(sample: Sample) -> bytes:
@@ -107,16 +94,10 @@ def encode_sample(sample: Sample) -> bytes:
     return _SAMPLE.pack(*parts)
 
 
-def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array per field, shape (n,); missing fields are NaN."""
-    rows = np.frombuffer(messages, _DTYPES[size])
-    held = _DTYPES[size].names or ()
-    return {
-        name: np.ascontiguousarray(rows[name], dtype=np.float64)
-        if name in held
-        else np.full(len(rows), np.nan)
-        for name in Sample._fields
-    }
+def decode_samples(messages: bytes) -> dict[str, NDArray[np.float64]]:
+    """Unpack concatenated samples into one array per field, shape (n,)."""
+    rows = np.frombuffer(messages, _DTYPE)
+    return {name: np.ascontiguousarray(rows[name], dtype=np.float64) for name in Sample._fields}
 
 
 _frame_structs: dict[int, struct.Struct] = {}

@@ -24,7 +24,6 @@ from rig.common.places import read_bytes, require_plain
 from rig.runs.mcap.layout import (
     EVENT_TOPIC,
     SAMPLE_BYTES,
-    SAMPLE_SIZES,
     SAMPLE_TOPIC,
     TOPICS,
     decode_samples,
@@ -204,7 +203,6 @@ class _Reading:
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._latest_ns = 0
-        self._sample_bytes = 0
         self._damage: list[tuple[str, int]] = []
         self.messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
         self.attachments: dict[str, bytes] = {}
@@ -231,10 +229,7 @@ class _Reading:
 
     def samples(self) -> dict[str, NDArray[np.float64]]:
         """Return the samples, one array per field."""
-        return decode_samples(
-            b"".join(m.data for m in self.messages[SAMPLE_TOPIC]),
-            self._sample_bytes or SAMPLE_BYTES,
-        )
+        return decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]))
 
     def damage(self) -> str | None:
         """Return a message on the damage, with the number of remaining samples."""
@@ -281,21 +276,14 @@ class _Reading:
     def _take_messages(self, records: bytes) -> None:
         """Sort the messages of a chunk by topic; an error in one message drops the whole chunk."""
         taken = _messages(records)
-        latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
+        latest_ns = self._latest_ns
         for topic, message in taken:
-            size = len(message.data)
-            if topic == SAMPLE_TOPIC and size != sample_bytes:
-                if sample_bytes or size not in SAMPLE_SIZES:
-                    sizes = " or ".join(map(str, sorted({sample_bytes} - {0} or SAMPLE_SIZES)))
-                    raise DamageError(
-                        f"a sample has {size} bytes, expected {sizes}: another program wrote this "
-                        "recording"
-                    )
-                sample_bytes = size
+            if topic == SAMPLE_TOPIC:
+                require_sample(message.data)
             if message.time_ns < latest_ns:
                 raise DamageError("a chunk is older than the chunk before it")
             latest_ns = message.time_ns
-        self._latest_ns, self._sample_bytes = latest_ns, sample_bytes
+        self._latest_ns = latest_ns
         for topic, message in taken:
             self.messages[topic].append(message)
 
@@ -312,6 +300,15 @@ class _Reading:
             self._damage.append(
                 (f"{missing} of {counts.message_count} messages are missing", samples)
             )
+
+
+def require_sample(data: bytes) -> None:
+    """Raise DamageError unless a message has the size of a sample."""
+    if len(data) != SAMPLE_BYTES:
+        raise DamageError(
+            f"a sample has {len(data)} bytes, expected {SAMPLE_BYTES}: another program wrote this "
+            "recording"
+        )
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
@@ -468,7 +465,7 @@ def run_items(
     """
     wanted = frozenset({_SAMPLES} if only_samples else {_SAMPLES, _EVENTS, _ATTACHMENTS})
     pending: list[bytes] = []
-    size = waiting = 0
+    waiting = 0
     require_plain(path)
     with open(path, "rb") as stream:
         for kind, contents in _contents(stream, wanted):
@@ -477,20 +474,15 @@ def run_items(
             elif kind == _ATTACHMENTS:
                 yield from (Attached(file.name, file.data) for file in map(attachment, contents))
             else:
-                size = size or len(contents[0])
-                wrong = next((len(content) for content in contents if len(content) != size), None)
-                if wrong is not None or size not in SAMPLE_SIZES:
-                    raise DamageError(
-                        f"a sample has {wrong or size} bytes, a size that this program does "
-                        "not write: another program wrote this recording"
-                    )
+                for content in contents:
+                    require_sample(content)
                 pending += contents
-                waiting += size * len(contents)
+                waiting += SAMPLE_BYTES * len(contents)
                 if waiting >= BLOCK_BYTES:
-                    yield _block(pending, size, fields)
+                    yield _block(pending, fields)
                     pending, waiting = [], 0
     if pending:
-        yield _block(pending, size, fields)
+        yield _block(pending, fields)
 
 
 def first_attachment(path: Path, name: str) -> bytes:
@@ -503,17 +495,6 @@ def first_attachment(path: Path, name: str) -> bytes:
         if opcode == Opcode.ATTACHMENT and (found := attachment(content)).name == name:
             return bytes(found.data)
     raise DamageError(f"{name} is not attached before the first messages")
-
-
-def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
-    """Return metadata written before the first messages, or None if none has this name."""
-    for opcode, content in _before_messages(path):
-        if (
-            opcode == Opcode.METADATA
-            and (found := _parsed(Metadata, content, "metadata")).name == name
-        ):
-            return dict(found.metadata)
-    return None
 
 
 def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
@@ -529,8 +510,8 @@ def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
             yield opcode, stream.read(length)
 
 
-def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block:
-    every = decode_samples(b"".join(contents), size)
+def _block(contents: Sequence[bytes], fields: Sequence[str]) -> Block:
+    every = decode_samples(b"".join(contents))
     return Block({name: every[name] for name in fields})
 
 

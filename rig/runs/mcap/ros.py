@@ -69,10 +69,8 @@ def is_serial(frame: RawFrame) -> bool:
 
 
 def samples(messages: Sequence[bytes]) -> list[bytes]:
-    """Return recorded samples of equal size as CDR; fields that the samples lack are NaN."""
-    if not messages:
-        return []
-    fields = decode_samples(b"".join(messages), len(messages[0]))
+    """Return recorded samples as CDR."""
+    fields = decode_samples(b"".join(messages))
     rows = np.stack([fields[name] for name in Sample._fields], axis=1).astype("<f8")
     return [LITTLE_ENDIAN + row.tobytes() for row in rows]
 

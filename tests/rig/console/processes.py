@@ -25,15 +25,12 @@ folders = messages.socket_folders
 messages.socket_folders = lambda: folders()[:1]
 import rig.planning.plan
 import rig.cli.commands.console as console
-import rig.console.recorded
 
 limits = rig.planning.plan._limits
 # A busy machine is late; lateness is not on trial here.
 rig.planning.plan._limits = lambda values, bench: dataclasses.replace(
     limits(values, bench), lateness=30.0
 )
-# On a busy machine a process of low priority waits for minutes.
-rig.console.recorded.NICE = 0
 starter = console.Starter
 own = (sys.executable, "-c", sys.orig_argv[2])
 console.Starter = lambda benches, runs: starter(benches, runs, own)

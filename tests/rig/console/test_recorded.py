@@ -1,6 +1,4 @@
-"""The console lists the runs of its folder and gives out their pages and nothing else; it makes
-comparisons and trends of the runs of its list.
-"""
+"""The console lists the runs of its folder and gives out their pages and nothing else."""
 
 import asyncio
 import json
@@ -12,12 +10,10 @@ from typing import Any
 
 import pytest
 
-from rig.console import recorded
-from rig.console.app import Console
+from rig.console.app import SHOWN, Console
 from rig.console.gate import HEADERS, SANDBOX, Token
 from rig.console.hub import Hub
-from rig.console.recorded import MOST_COMPARED, SHOWN
-from rig.console.starting import COMMAND, Starter
+from rig.console.starting import Starter
 from rig.results.run.report import inlined_script
 
 from .histories import write_history, write_run
@@ -106,24 +102,15 @@ def words(answer: Answer) -> str:
     return str(json.loads(answer[1])["words"])
 
 
-@pytest.fixture(autouse=True)
-def _no_low_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy machine would leave a process of low priority waiting for minutes."""
-    monkeypatch.setattr(recorded, "NICE", 0)
-
-
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """Eight identified runs of one bench, of which Mc steps; one of another bench; one without
-    constants; and one that is half written.
-    """
+    """Nine runs of one bench, one of another bench, and one that is half written."""
     root = tmp_path / "runs"
-    write_history(root, 8, step=6.0)
+    write_history(root, 8)
     write_history(root, 1, bench="other")
-    write_run(root / "bare", 20, {}, "mine")
+    write_run(root / "bare", 20, "mine")
     (root / "half").mkdir()
     (root / "half" / "recording.mcap").write_bytes(b"cut off")
-    (tmp_path / "outside").mkdir()
     return root
 
 
@@ -132,83 +119,7 @@ def desk(root: Path) -> Desk:
     return Desk(root)
 
 
-def test_runs_are_compared_on_a_page_that_can_do_nothing(root: Path) -> None:
-    desk = Desk(root, *COMMAND)
-    status, text, _ = desk.post("/compare", {"runs": ["mine-08", "mine-01"]})
-    found = json.loads(text)
-    # In the order of time, whichever was chosen first.
-    assert (status, found["words"]) == (200, "Comparison of mine-01, mine-08")
-    status, page, headers = desk.get(found["page"])
-    assert status == 200
-    assert headers["content-security-policy"] == SANDBOX
-    assert "mine-08 against" in page
-    assert page.count("<td>changed</td>") == 1
-    assert "changed by more than their uncertainty: Mc" in page
-    for path in (found["page"], "/recorded", "/recorded/mine-01/run.html"):
-        assert desk.post(path, {})[0] == 405
-    for key in ("none", "..", "../recorded"):
-        assert desk.get(f"/made/{key}")[0] == 404
-
-
-@pytest.mark.parametrize(
-    ("runs", "said"),
-    [
-        (["mine-01", "../outside"], "../outside: not in the list of runs"),
-        (["mine-01", "mine-02/../mine-03"], "not in the list of runs"),
-        (["mine-01", "--out=x"], "--out=x: not in the list of runs"),
-        (["mine-01", "mine-01"], f"choose 2 to {MOST_COMPARED} runs (got 1)"),
-        ([f"mine-{n}" for n in range(9)], "(got 9)"),
-        (["mine-01", 2], "runs must be a list of folders"),
-        ("mine-01", "runs must be a list of folders"),
-    ],
-)
-def test_only_runs_of_the_list_are_compared(desk: Desk, runs: object, said: str) -> None:
-    answer = desk.post("/compare", {"runs": runs})
-    assert answer[0] == 409
-    assert said in words(answer)
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ({"constant": "Mx"}, "Mx: no listed run has this constant"),
-        ({"constant": "Mc", "bench": "m*"}, "no listed run has this constant"),
-        ({"constant": "Mc", "bench": 5}, "bench must be a text"),
-        ({"constant": "Mc", "last": 0}, "last a whole number from 1 to"),
-        ({"constant": "Mc", "last": 10_000}, "last a whole number from 1 to"),
-        ({"constant": "Mc", "last": True}, "last a whole number from 1 to"),
-    ],
-)
-def test_only_constants_of_the_listed_runs_are_followed(desk, content, said):
-    answer = desk.post("/trend", content)
-    assert answer[0] == 409
-    assert said in words(answer)
-
-
-def test_damaged_runs_are_refused_with_the_remedy(root: Path) -> None:
-    desk = Desk(root, *COMMAND)
-    assert desk.get("/recorded")[0] == 200
-    # Damaged after it was listed.
-    (root / "mine-02" / "run.json").write_text("{")
-    answer = desk.post("/compare", {"runs": ["mine-01", "bare", "half", "mine-02"]})
-    assert answer[0] == 409
-    assert "half: there is neither a run.json nor a copy" in words(answer)
-    assert "`rig recover`" in words(answer)
-    assert "mine-02/run.json" in words(answer)
-    assert "bare" not in words(answer)
-    assert os.listdir(root.parent / "outside") == []
-
-
-def test_one_page_is_made_at_a_time_and_a_failure_is_told(root: Path) -> None:
-    desk = Desk(root, "/bin/sh", "-c", "sleep 0.1; echo out of order; exit 7", "rig")
-    answers = desk.both("/compare", {"runs": ["mine-01", "mine-02"]})
-    assert {words(answer) for answer in answers} == {
-        "out of order",
-        "another page is being made; try again in a few seconds",
-    }
-
-
-def test_the_list_can_be_chosen_and_names_its_constants(desk: Desk) -> None:
+def test_the_list_can_be_chosen(desk: Desk) -> None:
     def listed(query: str) -> dict[str, Any]:
         found = json.loads(desk.get("/recorded", query)[1])
         assert isinstance(found, dict)
@@ -217,11 +128,6 @@ def test_the_list_can_be_chosen_and_names_its_constants(desk: Desk) -> None:
     everything = listed("")
     assert (everything["count"], len(everything["runs"])) == (11, 11)
     assert everything["benches"] == ["mine", "other"]
-    assert everything["constants"] == ["Mc", "Ms", "J"]
-    found = {run["folder"]: run["identified"] for run in everything["runs"]}
-    assert [folder for folder, known in found.items() if not known] == ["bare", "half"]
-    able = {run["folder"] for run in everything["runs"] if run["comparable"]}
-    assert able == {run["folder"] for run in everything["runs"]} - {"half"}
     few = listed("bench=mine&last=3")
     assert [run["folder"] for run in few["runs"]] == ["bare", "mine-08", "mine-07"]
     assert listed("bench=nobody")["runs"] == []

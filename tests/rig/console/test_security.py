@@ -153,7 +153,7 @@ def test_a_command_of_another_site_is_refused(console: Served) -> None:
     assert console.request("POST", "/command", STOP, content_type="text/plain")[0] == 415
 
 
-PATHS = ("/command", "/controls", "/dry-run", "/start", "/resume", "/off", "/compare", "/trend")
+PATHS = ("/command", "/controls", "/dry-run", "/start", "/resume", "/off")
 
 
 @pytest.mark.parametrize("path", PATHS)

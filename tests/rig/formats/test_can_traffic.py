@@ -220,27 +220,6 @@ def test_bus_logging_inside_mf4(tmp_path: Path) -> None:
     same(recording.channels["angle"], ANGLE.astype(np.float32).astype(float))
 
 
-def test_a_bench_file_is_a_map(tmp_path: Path) -> None:
-    node = 1
-    messages = []
-    for k in range(N):
-        position = int(np.rint(10000 * np.sin(12.0 * TIME[k])))
-        data = (0x27).to_bytes(2, "little") + position.to_bytes(4, "little", signed=True)
-        data += round(100 * CURRENT[k]).to_bytes(2, "little", signed=True)
-        messages.append(
-            can.Message(
-                timestamp=STAMPS[k], arbitration_id=0x180 + node, is_extended_id=False, data=data
-            )
-        )
-    write(tmp_path / "log.blf", messages)
-    channels = "{time: time, current: current, motor_angle: motor_angle}"
-    recording = load_file(tmp_path, "log.blf", channels, "{bench: practical}")
-    position = np.rint(10000 * np.sin(12.0 * TIME)) * 2 * np.pi / 4096
-    np.testing.assert_allclose(recording.channels["motor_angle"], position, atol=1e-9)
-    current = np.rint(100 * CURRENT) * 15.0 / 1000
-    np.testing.assert_allclose(recording.channels["current"], current, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
