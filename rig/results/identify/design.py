@@ -27,6 +27,7 @@ from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.sequence import (
+    SAMPLES_PER_PERIOD,
     Array,
     Ramp,
     Sequence,
@@ -37,7 +38,7 @@ from rig.config.sequence import (
     sequence_text,
 )
 from rig.planning.limits import Limits
-from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
+from rig.planning.plan import bench_limits, make_plan
 from rig.planning.reference import read_identification
 from rig.results.document import Document as Page
 from rig.results.document import Note, Section, Table
