@@ -34,15 +34,16 @@ from identification.recording import Recording
 Complex = NDArray[np.complex128]
 Window = tuple[float, float]
 
-DEGREE: Final = 6
+DEGREE: Final = 5
 """Degree of the polynomial that describes the carrier in a window."""
-DECAYS: Final = (0.3, 0.12, 0.05)
+DECAYS: Final = (0.25, 0.08)
 """Time constants, over the window, of what the reversal before the window leaves."""
-WORST_NOISE: Final = 0.1
+WORST_NOISE: Final = 0.07
 """Greatest relative standard error of a line of an open loop that margins use."""
 LEVEL: Final = 0.9  # probability of the intervals
 _GRID: Final = 2000  # points of the interpolation between the lines
 _LEAST_WINDOWS, _LEAST_LINES = 3, 4
+_LOOKS: Final = 100  # parts of a window in each of which the joint must move
 _MISFIT: Final = 0.15
 """Greatest rms of torque less modelled torque of an accepted controller, relative to the torque."""
 _ALIKE: Final = 0.15
@@ -50,6 +51,7 @@ _ALIKE: Final = 0.15
 _AS_GOOD: Final = 1.5
 """Factor on the misfit of the cascade up to which a position controller alone is preferred."""
 _AGREE: Final = 0.1  # greatest difference from the gains of the drive's tool, relative
+_NEAR: Final = 1.5  # ratio of position gain and reset below which these are near each other
 _REWEIGHTED: Final = 2  # fits with the noise that the fit before leaves
 _CLEAR: Final = 20.0  # least power of the torque over that of the noise
 _SMOOTH: Final = 41  # frequencies over which a power is averaged
@@ -190,7 +192,7 @@ class Spectra:
         rate: Rate of the command, 1/s.
         speed: Speed that the speed loop feeds back, without a filter of the drive, 1/s.
         torque: Torque of the motor, N m/rad.
-        joint: Angle of the joint encoder.
+        motor: Angle of the motor over the gear ratio, as it is at the sample.
     """
 
     frequency_Hz: Array
@@ -200,7 +202,7 @@ class Spectra:
     rate: Complex
     speed: Complex
     torque: Complex
-    joint: Complex
+    motor: Complex
 
     @property
     def windows(self) -> int:
@@ -240,7 +242,7 @@ class Spectra:
     @property
     def plant(self) -> Complex:
         """Response from torque to angle, mean of the windows, rad/(N m), (f,)."""
-        return np.asarray(self.angle.mean(axis=0) / self.torque.mean(axis=0))
+        return np.asarray(self.motor.mean(axis=0) / self.torque.mean(axis=0))
 
     @property
     def closed(self) -> Complex:
@@ -254,7 +256,7 @@ class Spectra:
         return np.asarray(np.abs(self.angle.mean(axis=0)) ** 2 / power)
 
 
-_SIGNALS: Final = ("angle", "error", "rate", "speed", "torque", "joint")
+_SIGNALS: Final = ("angle", "error", "rate", "speed", "torque", "motor")
 
 
 def amplitudes(time: Array, values: Array, frequency_Hz: Array, window: Window) -> Complex:
@@ -279,6 +281,13 @@ def amplitudes(time: Array, values: Array, frequency_Hz: Array, window: Window) 
     found = np.linalg.lstsq(design, values[:, keep].T, rcond=None)[0]
     lines = len(frequency_Hz)
     return np.asarray((found[:lines] - 1j * found[lines : 2 * lines]).T)
+
+
+def _stops(time: Array, angle: Array, window: Window) -> bool:
+    """Whether the joint stops or reverses in a window."""
+    inside = angle[(time >= window[0]) & (time < window[1])]
+    steps = np.diff(inside[:: max(1, len(inside) // _LOOKS)])
+    return bool(np.min(steps) * np.max(steps) <= 0.0)
 
 
 def background(recording: Recording, frequency_Hz: Array, windows: Sequence[Window]) -> Array:
@@ -319,26 +328,34 @@ def spectra(
     Args:
         recordings: Repeats of one excitation.
         frequency_Hz: Its lines, (f,).
-        windows: Begin and end of each window since the start of the excitation, s.
+        windows: Begin and end of each window since the start of the excitation, s. Two consecutive
+            windows, one way and back, count as one: what the carrier leaves on a line that is a
+            multiple of its double frequency has opposite signs in them.
         step_rad: Joint angle of one unit of the drive's position, to which targets are rounded.
         host: What a host that closes the position loop commands; empty if the drive closes it.
 
     Raises:
-        NoResponseError: A channel is missing, or a window has too few samples.
+        NoResponseError: A channel is missing, a window has too few samples, or the joint stops.
     """
     rows: list[Complex] = []
     for recording in recordings:
-        needed = {"command", "motor_angle", "current", "angle"}
+        needed = {"command", "motor_angle", "current"}
         if missing := sorted(needed - recording.channels.keys()):
             raise NoResponseError(f"{recording.name}: no {', '.join(missing)} in the recording")
         c, bench = recording.channels, recording.bench
         torque = bench.ampere_torque * c["current"]
         motor = c["motor_angle"] / bench.gear_ratio
         sent = c["command"] if not step_rad else np.rint(c["command"] / step_rad) * step_rad
-        signals = np.vstack([sent, motor, torque, c["angle"]])
+        signals = np.vstack([sent, motor, torque])
         time = recording.time - recording.time[0]
-        rows += [amplitudes(time, signals, frequency_Hz, w) for w in windows]
-    command, motor, torque, joint = np.moveaxis(np.array(rows), 1, 0)
+        if any(_stops(time, motor, w) for w in windows):
+            raise NoResponseError(
+                f"{recording.name}: the joint stops or reverses where it should move on; it sticks "
+                "and slips, or the tones are too large"
+            )
+        each = [amplitudes(time, signals, frequency_Hz, w) for w in windows]
+        rows += [0.5 * (there + back) for there, back in zip(each[::2], each[1::2], strict=True)]
+    command, motor, torque = np.moveaxis(np.array(rows), 1, 0)
     s, period = laplace(frequency_Hz), recordings[0].period
     back = np.exp(-s * period)
     # A logged current is the mean over the period that ends at its sample.
@@ -356,7 +373,7 @@ def spectra(
     size = np.abs(command).mean(axis=0)
     parts = {
         name: values / command
-        for name, values in zip(_SIGNALS, (fed, error, rate, speed, torque, joint), strict=True)
+        for name, values in zip(_SIGNALS, (fed, error, rate, speed, torque, motor), strict=True)
     }
     return Spectra(frequency_Hz, size, **parts)
 
@@ -462,6 +479,8 @@ def fit_gains(
             noise = _smooth(np.abs(torque - factor(made) * made) ** 2)
             # What is not well above the noise would bias the gains: the angles are noisy as well.
             clear = np.abs(torque) ** 2 > _CLEAR * noise
+            if not np.any(clear):
+                return p, 0.0, math.inf
             weight = np.where(clear, 1.0 / np.sqrt(noise), 0.0)
             p = least(shape, p, low, high).x
         made = shape(p)
@@ -492,15 +511,17 @@ def fit_gains(
 
 
 def _told_apart(gains: Gains, known: Gains | None) -> Gains:
-    """Return gains whose position gain and reset, of which only sum and product are seen, are those
-    of the drive's tool if these agree, else in the order of the tool's.
+    """Return gains whose position gain and reset, of which only sum and product are seen, are in the
+    order of the tool's; if these are near each other, where sum and product do not tell them apart,
+    and agree, the tool's own.
     """
     kp, ki = gains.position, gains.reset
     if known is None or not known.reset:
         return dataclasses.replace(gains, position=max(kp, ki), reset=min(kp, ki))
     others = known.position, known.reset
     seen, stated = np.array([kp + ki, kp * ki]), np.array([sum(others), math.prod(others)])
-    if np.all(np.abs(seen / stated - 1.0) < _AGREE):
+    near = max(others) < _NEAR * min(others)
+    if near and np.all(np.abs(seen / stated - 1.0) < _AGREE):
         return dataclasses.replace(gains, position=known.position, reset=known.reset)
     high, low = max(kp, ki), min(kp, ki)
     if known.position < known.reset:
@@ -548,7 +569,7 @@ def _closed(s: Complex, gains: Gains, plant: Complex, fed: complex | Complex = 1
 
     ``fed``: angle that the controller uses over the angle of the plant.
     """
-    drive: Complex = (gains.speed or gains.position) * np.exp(-s * gains.delay_s)
+    drive: Any = (gains.speed or gains.position) * np.exp(-s * gains.delay_s)
     if not gains.speed:
         return np.asarray(drive / (1.0 + plant * fed * drive))
     drive = drive * (1.0 + gains.reset / s)
@@ -602,6 +623,7 @@ def without_images(seen: Spectra, gains: Gains, period_s: float) -> Spectra:
         rate=np.broadcast_to(s * asked, true.shape),
         speed=s * true,
         torque=seen.torque - torque * back / mean,
+        motor=true,
     )
 
 

@@ -29,6 +29,12 @@ def _of_a_run(command: Callable[..., int]) -> Callable[..., int]:
         shared.first_pass,
         shared.operator_name,
         shared.simulated_seed,
+        click.option(
+            "--amplitude",
+            type=shared.Number(min=0.01, max=1.0),
+            default=1.0,
+            help="Factor on the tones, for a joint that would reverse.",
+        ),
         click.option("--realtime", is_flag=True, help="Run the simulated bench in real time."),
         shared.yes,
         shared.out_folder("Folder for run, result and report. [default: ./BENCH-response]"),
@@ -103,7 +109,7 @@ def _measure(
 
     require_folder(folder, "--out")
     loop_place(bench)
-    made = excitation(bench.value, friction, passed["seed"], **excited)
+    made = excitation(bench.value, friction, passed["seed"], passed["amplitude"], **excited)
     sequence = folder / "response.yaml"
     with usable(folder, "written", "give --out another place"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -322,7 +328,7 @@ def _step(
     tried = load_bench(path)
     try:
         status, seen = _measure(
-            tried, folder, _friction(bench, None), passed, windows=4, stages=(LARGE,)
+            tried, folder, _friction(bench, None), passed, windows=6, stages=(LARGE,)
         )
     except InputError as error:
         return "; ".join(error.problems)

@@ -27,8 +27,10 @@ LONGEST_S: Final = 12.0  # longest period of the carrier, s
 PART: Final = 0.4
 """Greatest speed of the tones, as a share of the least speed of the carrier in a window."""
 TORQUE_SHARE: Final = 0.15  # greatest torque of the tones for the inertia, as a share of the limit
-FIRST, SPACING = 2.5, 2.0
-"""Lowest line, and least distance of two lines, in periods of a window; with less, the carrier
+COULOMB_SHARE: Final = 1.3
+"""The same as a share of the Coulomb friction, which keeps the teeth of a gear in contact."""
+FIRST, SPACING = 4, 4
+"""Lowest line, and least distance of two lines, in half periods of a window; with less, the carrier
 would resemble the lines.
 """
 MOST_LINES: Final = 24
@@ -64,6 +66,7 @@ def excitation(
     bench: Bench,
     friction: FrictionModel,
     seed: int,
+    amplitude: float = 1.0,
     windows: int | None = None,
     stages: tuple[str, ...] = (QUIET, SMALL, LARGE),
 ) -> Excitation:
@@ -76,6 +79,7 @@ def excitation(
         bench: The bench.
         friction: Its Stribeck speed and inertia, assumed or identified.
         seed: Seed of the phases of the tones.
+        amplitude: Factor on the tones.
         windows: Windows in a stage with tones, or None for as many as the cycle needs; the quiet
             stage has two.
         stages: Names of the stages.
@@ -89,12 +93,13 @@ def excitation(
     period = round(period / (8.0 * cycle_s)) * 8.0 * cycle_s
     carrier = speed * period / (2.0 * math.pi)
     window = 0.25 * period
-    lines = _lines(FIRST / window, bench.cycle_Hz / CYCLES_PER_PERIOD, window, cycle_s)
+    lines = _lines(bench.cycle_Hz / CYCLES_PER_PERIOD, window, cycle_s)
     phases, peak = _phases(lines, window, np.random.default_rng(seed))
     tone = PART * math.sqrt(0.5) * speed / peak
     # In phase, the torques of all tones would be their sum; random phases give about three rms.
     torque = friction.values["J"] * 2.0 * math.pi * float(np.sqrt(4.5 * np.sum(lines**2)))
-    tone = min(tone, TORQUE_SHARE * limits.torque_N_m / torque)
+    most = min(TORQUE_SHARE * limits.torque_N_m, COULOMB_SHARE * friction.values["Mc"])
+    tone = amplitude * min(tone, most / torque)
     wanted = windows or (WINDOWS if window / cycle_s >= FEW else WINDOWS_OF_FEW)
     middle = math.degrees(limits.middle_rad)
     fade = 0.25 * period
@@ -135,19 +140,21 @@ def _short(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _lines(low_Hz: float, high_Hz: float, window_s: float, cycle_s: float) -> Array:
-    """Return lines from low to high, about evenly over the logarithm, at least :data:`SPACING`
-    apart, (f,).
+def _lines(high_Hz: float, window_s: float, cycle_s: float) -> Array:
+    """Return lines up to a frequency, about evenly over the logarithm, at least :data:`SPACING`
+    apart, at multiples of the carrier's double frequency, (f,).
     """
     most = max(6, min(MOST_LINES, int(window_s / cycle_s / SAMPLES_PER_LINE)))
-    found = [low_Hz]
+    grid = 0.5 / window_s
+    found = [FIRST * grid]
     while len(found) < most:
         left = most - len(found)
         following = found[-1] * (high_Hz / found[-1]) ** (1.0 / left)
-        found.append(max(following, found[-1] + SPACING / window_s))
-        if found[-1] >= high_Hz:
+        count = max(round(following / grid), round(found[-1] / grid) + SPACING)
+        if count * grid > high_Hz and (count := count - 1) * grid > high_Hz:
             break
-    return np.array([round(min(f, high_Hz), 6) for f in found], dtype=np.float64)
+        found.append(grid * count)
+    return np.array(found, dtype=np.float64)
 
 
 def _phases(lines: Array, window_s: float, rng: np.random.Generator) -> tuple[Array, float]:
