@@ -38,8 +38,10 @@ DEGREE: Final = 5
 """Degree of the polynomial that describes the carrier in a window."""
 DECAYS: Final = (0.25, 0.08)
 """Time constants, over the window, of what the reversal before the window leaves."""
-WORST_NOISE: Final = 0.07
-"""Greatest relative standard error of a line of an open loop that margins use."""
+WORST_NOISE, WORST_NOISE_FAR, FAR = 0.1, 0.05, 0.3
+"""Greatest relative standard error of a line of an open loop that margins use; the same where the
+gain is below the third number, because a gain margin depends on the error of the gain itself.
+"""
 LEVEL: Final = 0.9  # probability of the intervals
 _GRID: Final = 2000  # points of the interpolation between the lines
 _LEAST_WINDOWS, _LEAST_LINES = 3, 4
@@ -653,7 +655,7 @@ def _certain(
     seen: Spectra, compute: Callable[[Spectra], Mapping[str, Complex]]
 ) -> dict[str, OpenLoop]:
     """Return responses of the mean on the lines with a relative standard error, by the jackknife
-    over the windows, below :data:`WORST_NOISE`.
+    over the windows, below :data:`WORST_NOISE` or :data:`WORST_NOISE_FAR`.
     """
     f, whole = seen.frequency_Hz, compute(seen.mean())
     if seen.windows < _LEAST_WINDOWS:
@@ -662,7 +664,8 @@ def _certain(
     found = {}
     for name, value in whole.items():
         each = np.array([part[name] for part in parts])
-        keep = _jackknife(each) < WORST_NOISE * np.abs(value)
+        size = np.abs(value)
+        keep = _jackknife(each) < np.where(size < FAR, WORST_NOISE_FAR, WORST_NOISE) * size
         if np.count_nonzero(keep) >= _LEAST_LINES:
             found[name] = OpenLoop(f[keep], value[keep])
     return found

@@ -24,7 +24,7 @@ SLOWEST, FASTEST = 0.05, 0.25
 """Least and greatest peak speed of the carrier, as a share of the speed limit."""
 TRAVEL_SHARE: Final = 0.7  # travel of the carrier, as a share of the permitted one
 LONGEST_S: Final = 12.0  # longest period of the carrier, s
-PART: Final = 0.4
+PART: Final = 0.5
 """Greatest speed of the tones, as a share of the least speed of the carrier in a window."""
 TORQUE_SHARE: Final = 0.15  # greatest torque of the tones for the inertia, as a share of the limit
 COULOMB_SHARE: Final = 1.3
@@ -35,7 +35,7 @@ would resemble the lines.
 """
 MOST_LINES: Final = 24
 SAMPLES_PER_LINE: Final = 3.2  # least samples in a window per line
-WINDOWS, WINDOWS_OF_FEW = 6, 16
+WINDOWS, WINDOWS_OF_FEW = 6, 24
 """Windows of a stage with tones, and with less than :data:`FEW` samples in a window."""
 FEW: Final = 400
 _TRIES: Final = 40  # random sets of phases, of which the one with the least peak is taken
