@@ -440,7 +440,7 @@ def fit_gains(
     parts = [_bands(recording, highest_Hz, step_rad) for recording in recordings]
     s, torque, *signals = (np.concatenate(each) for each in zip(*parts, strict=True))
     error, error_sum, rate, seen, pace, angle = signals
-    weight = np.ones(len(s))  # replaced below, for all that follows
+    weight: Array = np.ones(len(s))  # replaced below, for all that follows
 
     def cascade(p: Array) -> Complex:
         kp, ki, cut = np.exp(p[:3])
@@ -473,37 +473,44 @@ def fit_gains(
         for ahead in (0.0, 0.95)
     ]
 
-    def refined(shape: Callable[[Array], Complex], p: Array, low: Any, high: Any) -> Any:
-        """Return parameters and misfit after fits with the noise that the fit before leaves."""
+    def noise_of(shape: Callable[[Array], Complex], p: Array) -> Array:
+        made = shape(p)
+        return _smooth(np.abs(torque - factor(made) * made) ** 2)
+
+    def refined(shape: Callable[[Array], Complex], p: Array, low: Any, high: Any) -> Array:
+        """Return parameters after fits with the noise that the fit before leaves."""
         nonlocal weight
         for _ in range(_REWEIGHTED):
-            made = shape(p)
-            noise = _smooth(np.abs(torque - factor(made) * made) ** 2)
+            noise = noise_of(shape, p)
             # What is not well above the noise would bias the gains: the angles are noisy as well.
             clear = np.abs(torque) ** 2 > _CLEAR * noise
-            if not np.any(clear):
-                return p, 0.0, math.inf
-            weight = np.where(clear, 1.0 / np.sqrt(noise), 0.0)
-            p = least(shape, p, low, high).x
-        made = shape(p)
-        left = (factor(made) * made - torque)[weight > 0.0]
-        return p, factor(made), float(np.linalg.norm(left) / np.linalg.norm(torque))
+            weight = clear / np.sqrt(noise) if np.any(clear) else 1.0 / np.sqrt(noise)
+            p = np.asarray(least(shape, p, low, high).x)
+        return p
 
     weight = 1.0 / np.sqrt(_smooth(np.abs(torque) ** 2))
     best = min((least(cascade, p, low, high) for p in starts), key=lambda found: found.cost)
     single = refined(alone, np.array([0.3]), (0.0,), (20.0,))
-    weight = 1.0 / np.sqrt(_smooth(np.abs(torque) ** 2))
-    p, speed, misfit = refined(cascade, best.x, low, high)
-    simple = single[2] <= _AS_GOOD * misfit
-    if simple:
-        p, speed, misfit = single
+    p = refined(cascade, best.x, low, high)
+    # Both are judged where the torque is clear of what the cascade leaves.
+    noise = noise_of(cascade, p)
+    clear = np.abs(torque) ** 2 > _CLEAR * noise
+    weight = clear / np.sqrt(noise) if np.any(clear) else 1.0 / np.sqrt(noise)
+    size = float(np.linalg.norm(torque[weight > 0.0]))
+    misfits, factors = [], []
+    for made in (alone(single), cascade(p)):
+        factors.append(factor(made))
+        left = (factors[-1] * made - torque)[weight > 0.0]
+        misfits.append(float(np.linalg.norm(left)) / size)
+    simple = misfits[0] <= _AS_GOOD * misfits[1]
+    misfit, speed = (misfits[0], factors[0]) if simple else (misfits[1], factors[1])
     if misfit > _MISFIT:
         raise NoResponseError(
             "the torque is not that of a position and a speed controller in cascade, nor of a "
             f"position controller alone: {misfit:.0%} of it are left"
         )
     if simple:
-        return Fitted(Gains(speed, delay_s=float(p[0]) * 1e-3), misfit, False)
+        return Fitted(Gains(speed, delay_s=float(single[0]) * 1e-3), misfit, False)
     kp, ki, cut = (float(v) for v in np.exp(p[:3]))
     gains = Gains(kp, speed, ki, float(p[3]), float(p[4]) * 1e-3, cut / (2.0 * math.pi))
     alike = abs(gains.ahead - 1.0) < _ALIKE
@@ -513,9 +520,9 @@ def fit_gains(
 
 
 def _told_apart(gains: Gains, known: Gains | None) -> Gains:
-    """Return gains whose position gain and reset, of which only sum and product are seen, are in the
-    order of the tool's; if these are near each other, where sum and product do not tell them apart,
-    and agree, the tool's own.
+    """Return gains whose position gain and reset, of which only sum and product are seen, are in
+    the order of the tool's; if these are near each other, where sum and product do not tell them
+    apart, and agree, the tool's own.
     """
     kp, ki = gains.position, gains.reset
     if known is None or not known.reset:
