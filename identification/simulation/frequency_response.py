@@ -24,7 +24,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, UnivariateSpline
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
@@ -74,10 +74,14 @@ class NoResponseError(ValueError):
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Response of an opened loop, (f,), negative feedback: the critical point is -1."""
+    """Response of an opened loop, (f,), negative feedback: the critical point is -1.
+
+    ``error`` is the relative standard error, (f,), or None if the response is exact.
+    """
 
     frequency_Hz: Array
     response: Complex
+    error: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -124,17 +128,20 @@ class Margins:
         names = ("phase_deg", "crossover_Hz", "gain_dB", "phase_crossing_Hz")
         return {name: getattr(self, name) for name in names}
 
-    def reach(self, phase_deg: float, gain_dB: float) -> bool:
-        """Whether both margins are known to be at least these."""
+    def reach(self, phase_deg: float, gain_dB: float, unseen_dB: float = 0.0) -> bool:
+        """Whether both margins are known to be at least these.
+
+        ``unseen_dB``: gain that a resonance beyond the lines may have.
+        """
         if self.phase_deg is None:
             return False
-        least = self.roll_off_dB if self.gain_dB is None else self.gain_dB
+        least = self.roll_off_dB - unseen_dB if self.gain_dB is None else self.gain_dB
         return self.phase_deg >= phase_deg and least >= gain_dB
 
 
 def margins(loop: OpenLoop) -> Margins:
-    """Return the margins of an open loop, between its lines by cubic splines of magnitude and phase
-    over the logarithm of frequency.
+    """Return the margins of an open loop, by cubic splines of gain and phase over the logarithm of
+    frequency; with standard errors, by the smoothest ones within these errors.
 
     Raises:
         NotOpenLoopError: The response is that of a closed loop. Its phase at gain 1 is not a
@@ -166,10 +173,16 @@ def _dense(loop: OpenLoop) -> tuple[Array, Array, Array]:
     # The first line has a phase between -270 and 90 deg.
     start = angle[0] - (2.0 * np.pi if angle[0] > 0.5 * np.pi else 0.0)
     phase = np.degrees(np.unwrap(np.concatenate([[start], angle[1:]])))
-    if len(at) < 3:
+    if len(at) < _LEAST_LINES:
         return loop.frequency_Hz, gain, phase
     fine = np.linspace(at[0], at[-1], _GRID)
-    return np.exp(fine), CubicSpline(at, gain)(fine), CubicSpline(at, phase)(fine)
+    if loop.error is None:
+        return np.exp(fine), CubicSpline(at, gain)(fine), CubicSpline(at, phase)(fine)
+    error = np.maximum(loop.error, 0.5 * np.median(loop.error)) + 1e-4
+    spread = math.sqrt(0.5) * error
+    size = UnivariateSpline(at, gain, w=math.log(10.0) / 20.0 / spread, s=len(at))
+    turn = UnivariateSpline(at, phase, w=math.pi / 180.0 / spread, s=len(at))
+    return np.exp(fine), size(fine), turn(fine)
 
 
 def _crossings(f: Array, values: Array, others: Array) -> Iterator[tuple[float, float]]:
@@ -672,9 +685,10 @@ def _certain(
     for name, value in whole.items():
         each = np.array([part[name] for part in parts])
         size = np.abs(value)
-        keep = _jackknife(each) < np.where(size < FAR, WORST_NOISE_FAR, WORST_NOISE) * size
+        error = _jackknife(each) / size
+        keep = error < np.where(size < FAR, WORST_NOISE_FAR, WORST_NOISE)
         if np.count_nonzero(keep) >= _LEAST_LINES:
-            found[name] = OpenLoop(f[keep], value[keep])
+            found[name] = OpenLoop(f[keep], value[keep], error[keep])
     return found
 
 
@@ -800,6 +814,8 @@ RESET_SHARE: Final = 0.2
 """Inverse reset time as a share of the crossover of the speed loop, rad/s: 11 deg of its phase."""
 _FACTORS: Final = np.geomspace(8.0, 1.0 / 64.0, 181)
 """Factors on a gain that are tried, from the greatest on."""
+_UNSEEN_DB: Final = 6.0
+"""Gain of a resonance beyond the lines for which a higher gain of the speed loop leaves room."""
 _INSIDE: Final = 0.7  # greatest crossover as a share of the highest line
 
 
@@ -867,7 +883,8 @@ def _greatest(
         found = margins(loop)
         at = found.crossover_Hz
         inside = at is not None and at <= _INSIDE * found.highest_Hz
-        if inside and found.reach(wanted.phase_deg, wanted.gain_dB):
+        unseen = _UNSEEN_DB if name == "speed" and new.speed > old.speed else 0.0
+        if inside and found.reach(wanted.phase_deg, wanted.gain_dB, unseen):
             return new
     return None
 

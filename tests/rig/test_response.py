@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ FAST = (("cycle_Hz: 1000", "cycle_Hz: 200"), ("cycle_s: 0.001", "cycle_s: 0.005"
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one measured response, with its bench."""
     folder = tmp_path_factory.mktemp("response")
     slow = (("position_gain: 60", "position_gain: 25"), ("integral_1_s: 60", "integral_1_s: 8"))
@@ -37,7 +36,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     bench = variant(folder, *FAST, *slow, *speed, count=1)
     words = ["response", str(bench), "--yes", "--out", str(folder / "out")]
     assert status([*words, "--json", str(folder / "response.json")]) == 0
-    yield folder
+    return folder
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -112,9 +111,8 @@ def test_the_excitation_is_within_the_limits(bench: str) -> None:
     command = targets(stage, document.value.cycle_s)
     speed = np.diff(command) / document.value.cycle_s
     for begin, end in made.windows[LARGE]:
-        inside = speed[round(begin * 1000 / 1000 / document.value.cycle_s) :][
-            : round((end - begin) / document.value.cycle_s)
-        ]
+        first, last = (round(at / document.value.cycle_s) for at in (begin, end))
+        inside = speed[first:last]
         # The command does not reverse in a window.
         assert inside.min() * inside.max() > 0.0
     assert np.abs(speed).max() < np.radians(document.value.limits.speed_deg_s)

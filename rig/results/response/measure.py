@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Iterator, Mapping
@@ -238,8 +239,11 @@ def margins_of(
         lines = np.isin(seen.frequency_Hz, loop.frequency_Hz)
         part = seen.only(lines)
 
-        def compute(one: Spectra, name: str = name) -> dict[str, float | None]:
-            return numerics.margins(numerics.loops(one.mean(), gains)[name]).values()
+        def compute(
+            one: Spectra, name: str = name, error: Array | None = loop.error
+        ) -> dict[str, float | None]:
+            exact = numerics.loops(one.mean(), gains)[name]
+            return numerics.margins(dataclasses.replace(exact, error=error)).values()
 
         found[name] = numerics.with_intervals(part, compute)
     return found
