@@ -45,7 +45,8 @@ gain is below the third number, because a gain margin depends on the error of th
 LEVEL: Final = 0.9  # probability of the intervals
 _GRID: Final = 2000  # points of the interpolation between the lines
 _LEAST_WINDOWS, _LEAST_LINES = 3, 4
-_LOOKS: Final = 100  # parts of a window in each of which the joint must move
+_LOOKS: Final = 100  # parts of a window in each of which the joint must move on
+_SLOWEST: Final = 0.15  # least speed in them, as a share of the mean commanded speed
 _MISFIT: Final = 0.15
 """Greatest rms of torque less modelled torque of an accepted controller, relative to the torque."""
 _ALIKE: Final = 0.15
@@ -298,11 +299,13 @@ def amplitudes(time: Array, values: Array, frequency_Hz: Array, window: Window) 
     return np.asarray((found[:lines] - 1j * found[lines : 2 * lines]).T)
 
 
-def _stops(time: Array, angle: Array, window: Window) -> bool:
-    """Whether the joint stops or reverses in a window."""
-    inside = angle[(time >= window[0]) & (time < window[1])]
-    steps = np.diff(inside[:: max(1, len(inside) // _LOOKS)])
-    return bool(np.min(steps) * np.max(steps) <= 0.0)
+def _stops(time: Array, command: Array, angle: Array, window: Window) -> bool:
+    """Whether the joint falls below a share of the mean commanded speed in a window."""
+    inside = (time >= window[0]) & (time < window[1])
+    every = max(1, int(np.count_nonzero(inside)) // _LOOKS)
+    steps, asked = (np.diff(values[inside][::every]) for values in (angle, command))
+    mean = float(np.mean(asked))
+    return bool(np.min(steps * np.sign(mean)) < _SLOWEST * abs(mean))
 
 
 def background(recording: Recording, frequency_Hz: Array, windows: Sequence[Window]) -> Array:
@@ -363,9 +366,9 @@ def spectra(
         sent = c["command"] if not step_rad else np.rint(c["command"] / step_rad) * step_rad
         signals = np.vstack([sent, motor, torque])
         time = recording.time - recording.time[0]
-        if any(_stops(time, motor, w) for w in windows):
+        if any(_stops(time, sent, motor, w) for w in windows):
             raise NoResponseError(
-                f"{recording.name}: the joint stops or reverses where it should move on; it sticks "
+                f"{recording.name}: the joint nearly stops where it should move on; it sticks "
                 "and slips, or the tones are too large"
             )
         each = [amplitudes(time, signals, frequency_Hz, w) for w in windows]

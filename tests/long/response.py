@@ -53,13 +53,15 @@ def draw(number: int, seed: int) -> dict[str, Any]:
     for name in ("Mc_N_m", "sigma_2_N_m_s_rad", "omega_sf_rad_s"):
         joint[name] *= float(rng.uniform(0.6, 1.4))
     rise = float(rng.uniform(1.2, 1.9))
-    joint["Ms_N_m"] = joint["Mc_N_m"] * (min(rise, 1.4) if mode == "cst" else rise)
+    # Soft loops and those of mode cst stick and slip with more; there is nothing linear then.
+    soft = mode == "cst" or cycle <= 100
+    joint["Ms_N_m"] = joint["Mc_N_m"] * (min(rise, 1.4) if soft else rise)
     inertia = joint["inertia_kg_m2"] = joint["inertia_kg_m2"] * float(rng.uniform(0.8, 1.6))
     if mode == "cst":
         bench["servo"]["position_loop"]["inertia_kg_m2"] = inertia
     position_Hz = min(max(cycle / rng.uniform(18.0, 35.0), 2.0), 12.0)
     position = 2.0 * math.pi * position_Hz
-    speed = position * rng.uniform(3.0, 6.0)
+    speed = position * rng.uniform(5.0 if soft else 3.0, 6.0)
     loops |= {
         "position_gain": float(position),
         "velocity_gain_N_m_s_rad": float(inertia * speed),

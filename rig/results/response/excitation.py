@@ -29,7 +29,7 @@ PART: Final = 0.5
 TORQUE_SHARE: Final = 0.15  # greatest torque of the tones for the inertia, as a share of the limit
 COULOMB_SHARE: Final = 1.3
 """The same as a share of the Coulomb friction, which keeps the teeth of a gear in contact."""
-FIRST, SPACING = 4, 4
+FIRST, SPACING = 5, 4
 """Lowest line, and least distance of two lines, in half periods of a window; with less, the carrier
 would resemble the lines.
 """
