@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
@@ -93,7 +94,7 @@ class ClosedLoop:
     response: Complex
 
     def opened(self, ahead_s: float = 0.0) -> OpenLoop:
-        """Return the loop opened at its error, T / (1 - T + a s T').
+        """Return the loop opened at its error, T / (1 + a s - T).
 
         Args:
             ahead_s: Feed-forward of the command's rate over the position gain, s. It helps the
@@ -181,8 +182,11 @@ def _dense(loop: OpenLoop) -> tuple[Array, Array, Array]:
         return np.exp(fine), CubicSpline(at, gain)(fine), CubicSpline(at, phase)(fine)
     error = np.maximum(loop.error, 0.5 * np.median(loop.error)) + 1e-4
     spread = math.sqrt(0.5) * error
-    size = UnivariateSpline(at, gain, w=math.log(10.0) / 20.0 / spread, s=len(at))
-    turn = UnivariateSpline(at, phase, w=math.pi / 180.0 / spread, s=len(at))
+    with warnings.catch_warnings():
+        # A spline that cannot become as smooth as the errors allow is still within them.
+        warnings.simplefilter("ignore", UserWarning)
+        size = UnivariateSpline(at, gain, w=math.log(10.0) / 20.0 / spread, s=len(at))
+        turn = UnivariateSpline(at, phase, w=math.pi / 180.0 / spread, s=len(at))
     return np.exp(fine), size(fine), turn(fine)
 
 
