@@ -147,6 +147,13 @@ def test_set_points_have_no_response(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_too_little_travel_is_refused_before_any_motion(tmp_path: Path) -> None:
+    ends = (("angle_min_deg: -30", "angle_min_deg: -0.5"), ("max_deg: 30", "max_deg: 0.5"))
+    bench = variant(tmp_path, *ends, count=1)
+    assert status(["response", str(bench), "--yes", "--out", str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+
+
 def test_nothing_moves_without_consent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     out = tmp_path / "out"

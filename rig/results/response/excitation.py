@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.numerics.arrays import Array
 from identification.simulation.frequency_response import Window
+from rig.common.errors import InputError
 from rig.config.bench import Bench
 from rig.config.sequence import Sequence, StageSection, Tone, sequence_text
 from rig.planning.predicted_load import FrictionModel
@@ -33,7 +34,7 @@ FIRST, SPACING = 5, 4
 """Lowest line, and least distance of two lines, in half periods of a window; with less, the carrier
 would resemble the lines.
 """
-MOST_LINES: Final = 24
+LEAST_LINES, MOST_LINES = 6, 24
 SAMPLES_PER_LINE: Final = 3.2  # least samples in a window per line
 WINDOWS, WINDOWS_OF_FEW = 6, 24
 """Windows of a stage with tones, and with less than :data:`FEW` samples in a window."""
@@ -83,6 +84,9 @@ def excitation(
         windows: Windows in a stage with tones, or None for as many as the cycle needs; the quiet
             stage has two.
         stages: Names of the stages.
+
+    Raises:
+        InputError: The travel is too small for the speed at which friction hardly falls.
     """
     limits, cycle_s = bench.limits, bench.cycle_s
     half = math.radians(0.5 * TRAVEL_SHARE * (limits.angle_max_deg - limits.angle_min_deg))
@@ -94,6 +98,12 @@ def excitation(
     carrier = speed * period / (2.0 * math.pi)
     window = 0.25 * period
     lines = _lines(bench.cycle_Hz / CYCLES_PER_PERIOD, window, cycle_s)
+    if len(lines) < LEAST_LINES:
+        raise InputError(
+            f"the joint crosses its travel of {limits.angle_max_deg - limits.angle_min_deg:g} deg "
+            f"so fast that {len(lines)} lines fit below a fifth of cycle_Hz, at least "
+            f"{LEAST_LINES} are needed: permit more travel, or raise cycle_Hz"
+        )
     phases, peak = _phases(lines, window, np.random.default_rng(seed))
     tone = PART * math.sqrt(0.5) * speed / peak
     # In phase, the torques of all tones would be their sum; random phases give about three rms.
@@ -144,7 +154,7 @@ def _lines(high_Hz: float, window_s: float, cycle_s: float) -> Array:
     """Return lines up to a frequency, about evenly over the logarithm, at least :data:`SPACING`
     apart, at multiples of the carrier's double frequency, (f,).
     """
-    most = max(6, min(MOST_LINES, int(window_s / cycle_s / SAMPLES_PER_LINE)))
+    most = min(MOST_LINES, int(window_s / cycle_s / SAMPLES_PER_LINE))
     grid = 0.5 / window_s
     found = [FIRST * grid]
     while len(found) < most:
