@@ -253,14 +253,14 @@ def measured(number: int, seed: int, folder: Path) -> list[str]:
     said = rig("response", str(path), "--yes", "--out", out, *words, str(found), check=False)
     if not found.exists():
         print(said[-300:])
-        return [*cells(number, data), "0", *["-"] * 3, "no", *["-"] * 2, "no", "no"]
+        return [*cells(number, data), "0", "0", *["-"] * 3, "no", *["-"] * 2, "no", "no"]
     result = json.loads(found.read_text())
     # The carrier of a bench whose Stribeck speed is unknown; friction is linear at its middle.
     speed = 0.85 * 4.5 * 0.0557
     truth = dense(Truth(path, speed))
     names = {name: result["margins"][name] for name in result["margins"] if name in truth}
     errors: dict[str, list[float]] = {"deg": [], "crossover": [], "gain": []}
-    missing = 0
+    missing = held = 0
     for name, each in names.items():
         top = each["highest_line_Hz"]
         phase, gain = truth[name]["phase"], truth[name]["gain"]
@@ -270,6 +270,8 @@ def measured(number: int, seed: int, folder: Path) -> list[str]:
         if phase is not None and phase[1] < top and each["phase_deg"]["value"] is not None:
             errors["deg"].append(each["phase_deg"]["value"] - phase[0])
             errors["crossover"].append(each["crossover_Hz"]["value"] / phase[1] - 1.0)
+            low, high = (each["phase_deg"][end] for end in ("low", "high"))
+            held += low is not None and low <= phase[0] <= high
         if gain is not None and each["gain_dB"]["value"] is not None:
             errors["gain"].append(10.0 ** ((each["gain_dB"]["value"] - gain[0]) / 20.0) - 1.0)
     worst = {key: max(map(abs, values), default=0.0) for key, values in errors.items()}
@@ -297,6 +299,7 @@ def measured(number: int, seed: int, folder: Path) -> list[str]:
     return [
         *cells(number, data),
         f"{len(errors['deg'])}",
+        f"{held}",
         f"{worst['deg']:.2f}",
         f"{100.0 * worst['crossover']:.1f}",
         f"{100.0 * worst['gain']:.1f}" if errors["gain"] else "-",
@@ -342,6 +345,7 @@ HEADER = (
     "effects",
     "ahead",
     "loops",
+    "inside interval",
     "worst deg",
     "crossover %",
     "gain margin %",
@@ -365,7 +369,7 @@ def main() -> int:
             rows.append(measured(number, asked.seed, Path(folder)))
             print("  ".join(rows[-1]), flush=True)
     print(table(HEADER, rows, right=range(len(HEADER))))
-    within, tuned, stable = (sum(row[k] == "yes" for row in rows) for k in (9, 12, 13))
+    within, tuned, stable = (sum(row[k] == "yes" for row in rows) for k in (10, 13, 14))
     print(
         f"margins within {WITHIN_DEG:g} deg and {WITHIN:.0%}: {within} of {len(rows)}; gains "
         f"within {TUNED_DEG:g} deg: {tuned}; stable: {stable}"

@@ -60,8 +60,8 @@ def response(
     A run of three stages moves the joint on a slow sine and adds small tones at two amplitudes,
     with the limits, prompts and safety of `rig run`. Where the joint does not reverse, friction is
     constant, so that the loops are linear. Margins are those of the opened position and speed loop,
-    with 90 % intervals from the scatter between parts of the run; a crossing beyond the highest
-    line is not reported. The page shows Bode and Nyquist plots beside the nominal model.
+    with 90 % intervals; a crossing beyond the highest line is not reported. The page shows Bode and
+    Nyquist plots beside the nominal model.
 
     \b
     Example:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -50,6 +50,10 @@ from rig.runs.run import load_run
 RESULT_FILE, RESPONSE_SCHEMA = "response.json", "loadrig.response/1"
 FITTED_SHARE: Final = 1.0 / 8.0  # highest frequency of the fitted gains, as a share of the cycle
 BENT: Final = 4.0  # standard errors between two amplitudes that count as a difference
+GAIN_ERROR, CUT_ERROR = 3.0, 12.0
+"""Relative errors of a fitted position gain, and of the cut-off of the speed filter, over the
+relative torque that the gains leave, at 90 %; found on simulated benches.
+"""
 GAIN_UNITS: Final = {
     "position": "1/s",
     "speed": "N m s/rad",
@@ -218,7 +222,7 @@ def evaluate(
         seen,
         fitted,
         loops,
-        margins_of(seen, fitted.gains, loops),
+        margins_of(seen, fitted, loops),
         quiet,
         numerics.bent(small, large) if SMALL in parts else np.zeros(len(lines)),
         model,
@@ -231,22 +235,38 @@ def evaluate(
 
 
 def margins_of(
-    seen: Spectra, gains: Gains, loops: Mapping[str, OpenLoop]
+    seen: Spectra, fitted: Fitted, loops: Mapping[str, OpenLoop]
 ) -> dict[str, dict[str, Estimate]]:
-    """Return the margins of open loops with intervals from the scatter over the windows."""
-    found = {}
+    """Return the margins of open loops with intervals: from the scatter over the windows, and from
+    the errors of the fitted gains, which grow with the torque that the gains leave.
+    """
+    found, gains = {}, fitted.gains
+    others = [
+        dataclasses.replace(gains, position=gains.position * (1.0 + GAIN_ERROR * fitted.misfit)),
+        dataclasses.replace(gains, filter_Hz=gains.filter_Hz / (1.0 + CUT_ERROR * fitted.misfit)),
+    ]
     for name, loop in loops.items():
-        lines = np.isin(seen.frequency_Hz, loop.frequency_Hz)
-        part = seen.only(lines)
+        part = seen.only(np.isin(seen.frequency_Hz, loop.frequency_Hz))
 
         def compute(
-            one: Spectra, name: str = name, error: Array | None = loop.error
+            one: Spectra, with_gains: Gains = gains, name: str = name, loop: OpenLoop = loop
         ) -> dict[str, float | None]:
-            exact = numerics.loops(one.mean(), gains)[name]
-            return numerics.margins(dataclasses.replace(exact, error=error)).values()
+            exact = numerics.loops(one.mean(), with_gains)[name]
+            return numerics.margins(dataclasses.replace(exact, error=loop.error)).values()
 
-        found[name] = numerics.with_intervals(part, compute)
+        each = numerics.with_intervals(part, compute)
+        moved = [compute(part, other) for other in others] if fitted.misfit else []
+        found[name] = {key: _widened(e, [m[key] for m in moved]) for key, e in each.items()}
     return found
+
+
+def _widened(found: Estimate, moved: Sequence[float | None]) -> Estimate:
+    """Return an estimate with an interval that also contains independent changes."""
+    value, low, high = found
+    if value is None or low is None or high is None:
+        return found
+    half = math.hypot(0.5 * (high - low), *(m - value for m in moved if m is not None))
+    return Estimate(value, value - half, value + half)
 
 
 def response_record(found: Response) -> dict[str, Any]:
