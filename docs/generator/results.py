@@ -34,6 +34,7 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
+from identification.simulation.frequency_response import Margins, Wanted
 from rig.cli.authoring.schema import meanings
 from rig.commissioning.record import Measured
 from rig.control.readings import Readings
@@ -42,6 +43,7 @@ from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
 from rig.results.catalogue.compare import Figure
 from rig.results.catalogue.study import Studied, Study
+from rig.results.response.tuning import Written
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 from rig.sources.look import Clock, Column, Look
@@ -97,6 +99,17 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.document:_entry_record",
     ),
     "rig look --json": ("rig.cli.commands.look:look_record",),
+    "rig response: response.json": (
+        "rig.results.response.measure:response_record",
+        "rig.results.response.measure:_polar",
+        "rig.results.response.measure:gains_record",
+    ),
+    "rig tune: tune.json": (
+        "rig.results.response.tuning:tune_record",
+        "rig.results.response.tuning:step_figures",
+        "rig.results.response.measure:gains_record",
+        "rig.cli.commands.response:_step",
+    ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
     "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
     "rig runs compare --json": (
@@ -162,6 +175,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
+    "rig tune: tune.json": (Margins, Wanted, Written),
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
     "rig runs compare --json": (Figure,),
@@ -184,6 +198,7 @@ _INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
 )
 """Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
+    "rig response: response.json": frozenset({"low", "high", "open_position", "open_speed"}),
     "rig runs list --json": frozenset({"run"}),
     "rig runs compare --json": frozenset({"low", "high"}),
     "rig diagnose: diagnose.json": frozenset(RANGED),

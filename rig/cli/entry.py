@@ -44,6 +44,14 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.bench:check",
         "Connect to a bench and read its values; nothing moves.",
     ),
+    "response": (
+        "rig.cli.commands.response:response",
+        "Measure the frequency response of a bench, and its margins.",
+    ),
+    "tune": (
+        "rig.cli.commands.response:tune",
+        "Propose gains of the drive for stated margins.",
+    ),
     "identify": (
         "rig.cli.commands.identify:identify",
         "Identify friction and inertia from a run or a campaign.",

@@ -16,6 +16,7 @@ from rig.config.acceptance import LimitLine
 from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located, resolve
 
 Array = NDArray[np.float64]
+SAMPLES_PER_PERIOD = 20  # least number of control cycles per period of a tone, for a smooth sine
 
 
 class FlowStep(Schema):
@@ -165,6 +166,9 @@ class StageSection(Schema):
         duration_s: Length of the excitation, including fade-in and fade-out of the tones.
         ramp_in_s: Fade-in of the tones.
         ramp_out_s: Fade-out of the tones.
+        cycles_per_period: Least number of control cycles per period of a tone. With fewer than 20,
+            a drive that moves linearly from target to target receives less than the amplitude, and
+            images above half of the cycle frequency.
         repeats: Number of times that the excitation is run; each repeat becomes one recording.
         center_deg: Joint angle at the centre of the excitation.
         settle_s: Rest at the starting angle before each repeat.
@@ -182,6 +186,7 @@ class StageSection(Schema):
     duration_s: Annotated[float, Field(gt=0, le=3600)]
     ramp_in_s: NonNegative = 1.0
     ramp_out_s: NonNegative = 1.0
+    cycles_per_period: Annotated[int, Field(ge=4)] = SAMPLES_PER_PERIOD
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     center_deg: float = 0.0
     settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2

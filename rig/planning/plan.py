@@ -21,7 +21,6 @@ from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_obje
 from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
-SAMPLES_PER_PERIOD = 20  # least number of control cycles per period of a tone, for a smooth sine
 APPROACH_SPEED_SHARE = 0.25
 """Speed of the move to the start of a stage, as a share of the speed limit."""
 HOLD_S = 0.1  # rest at the last target before the drive is de-energised, s
@@ -246,12 +245,13 @@ def _objections(
             f"{limits.torque:g} N m; use less weight"
         )
         yield ("weight_kg",), text, section.weight_kg
-    fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
+    cycles = section.cycles_per_period
+    fastest = bench.cycle_Hz / cycles
     for index, tone in enumerate(section.tones):
         if tone.frequency_Hz > fastest:
             text = (
-                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles per period; lower the "
-                "frequency or raise cycle_Hz"
+                f"above {fastest:g} Hz, {cycles} control cycles per period; lower the frequency or "
+                "raise cycle_Hz"
             )
             yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
 

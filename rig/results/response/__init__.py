@@ -1,0 +1,1 @@
+"""``rig response`` and ``rig tune``: the excitation, the measured response, proposed gains."""

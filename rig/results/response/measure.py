@@ -1,0 +1,487 @@
+"""``rig response``: evaluates the run of an excitation; its record and its document."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from drivers.canopen.motion import LoopGains, derived
+from identification.model.friction import system_friction
+from identification.numerics.arrays import Array, finite, plain
+from identification.plots.response import Curve, bode, nyquist
+from identification.simulation import frequency_response as numerics
+from identification.simulation.frequency_response import (
+    Complex,
+    Estimate,
+    Fitted,
+    Gains,
+    NoResponseError,
+    OpenLoop,
+    Spectra,
+)
+from rig.common.errors import InputError
+from rig.common.places import read_json
+from rig.common.provenance import Provenance
+from rig.common.tables import interval, number, percent
+from rig.config.bench import Bench
+from rig.config.canopen import ServoSection
+from rig.config.configuration import Document as File
+from rig.planning.predicted_load import FrictionModel
+from rig.results.document import (
+    Document,
+    Note,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    Verdict,
+    provenance_section,
+)
+from rig.results.response.excitation import LARGE, QUIET, SMALL, Excitation
+from rig.runs.run import load_run
+
+RESULT_FILE, RESPONSE_SCHEMA = "response.json", "loadrig.response/1"
+FITTED_SHARE: Final = 1.0 / 8.0  # highest frequency of the fitted gains, as a share of the cycle
+BENT: Final = 4.0  # standard errors between two amplitudes that count as a difference
+GAIN_ERROR, CUT_ERROR = 3.0, 12.0
+"""Relative errors of a fitted position gain, and of the cut-off of the speed filter, over the
+relative torque that the gains leave, at 90 %; found on simulated benches.
+"""
+GAIN_UNITS: Final = {
+    "position": "1/s",
+    "speed": "N m s/rad",
+    "reset": "1/s",
+    "ahead": "1",
+    "delay_s": "s",
+    "filter_Hz": "Hz",
+}
+Host = Literal["", "speed", "torque"]
+
+
+@dataclass(frozen=True)
+class LoopPlace:
+    """Where the position loop of a bench is closed: in the drive, or by the host that commands a
+    speed or a torque; and its gains as far as the bench file states them.
+    """
+
+    host: Host
+    stated: Gains | None
+    step_rad: float
+
+    @property
+    def words(self) -> str:
+        """Place of the loop, for the reader."""
+        return f"in this program, which commands a {self.host}" if self.host else "in the drive"
+
+
+def loop_place(document: File[Bench]) -> LoopPlace:
+    """Return where the position loop of a bench is closed.
+
+    Raises:
+        InputError: The drive moves by ramps of its own (mode `pp`).
+    """
+    bench = document.value
+    servo, step = bench.servo, 0.0
+    mode = "csp"
+    if isinstance(servo, ServoSection):
+        mode = servo.commanded(servo.device_data(document.path.parent))
+        step = 2.0 * math.pi / (servo.counts_per_motor_turn * bench.machine.gear_ratio)
+    if mode == "pp":
+        text = "in mode pp the drive moves by its own ramps and has no response; use csp, csv, cst"
+        raise InputError(document.problem(("servo",), text))
+    if mode != "csp":
+        assert isinstance(servo, ServoSection)
+        loop = servo.position_loop
+        given = LoopGains(
+            loop.position_gain_1_s or 0.0, loop.speed_gain_N_m_s_rad or 0.0, loop.reset_1_s or 0.0
+        )
+        torque = mode == "cst"
+        found = derived(bench.cycle_s, (loop.inertia_kg_m2 or 0.0) if torque else None, given)
+        gains = Gains(found.position_1_s, found.speed_N_m_s_rad, found.reset_1_s, 1.0)
+        return LoopPlace("torque" if torque else "speed", gains, step)
+    if bench.mock is None or not bench.simulated:
+        return LoopPlace("", None, step)
+    known = bench.mock.loops
+    cascade = known.velocity_gain_N_m_s_rad
+    if cascade is None:
+        return LoopPlace("", Gains(known.position_gain), step)
+    gains = Gains(
+        known.position_gain,
+        cascade,
+        known.velocity_integral_1_s,
+        known.velocity_feedforward,
+        filter_Hz=known.velocity_filter_Hz,
+    )
+    return LoopPlace("", gains, step)
+
+
+@dataclass(frozen=True)
+class Response:
+    """A measured response.
+
+    Attributes:
+        bench: Name of the bench.
+        place: Where the position loop is closed.
+        seen: Spectra of all windows with tones.
+        fitted: Gains; misfit 0 where they are those of the host.
+        loops: The open loops on their certain lines.
+        margins: Margins with intervals, by loop.
+        background: Amplitude of the angle without tones over that with them, (f,).
+        differ: Standard errors between the two amplitudes, (f,).
+        model: Open loops with the plant of the nominal model, linear at the speed of the carrier.
+        inertia, damping: Constants of that plant, kg m^2, N m s/rad.
+        friction: Where these constants come from, and the Coulomb friction.
+        ripple_N_m: Rms of the torque's changes from sample to sample with the tones.
+        provenance: Provenance.
+    """
+
+    bench: str
+    place: LoopPlace
+    seen: Spectra
+    fitted: Fitted
+    loops: Mapping[str, OpenLoop]
+    margins: Mapping[str, Mapping[str, Estimate]]
+    background: Array
+    differ: Array
+    model: Mapping[str, OpenLoop]
+    inertia: float
+    damping: float
+    friction: FrictionModel
+    ripple_N_m: float
+    provenance: Provenance
+
+
+def linear_plant(friction: FrictionModel, speed_rad_s: float) -> tuple[float, float]:
+    """Return inertia and slope of the friction without load at a speed: the nominal model,
+    linearised where the joint does not reverse.
+    """
+    ends = speed_rad_s * np.array([0.99, 1.01])
+    low, high = system_friction(ends, friction.values, friction.alpha)
+    return friction.values["J"], float(high - low) / float(ends[1] - ends[0])
+
+
+def evaluate(
+    document: File[Bench], folder: Path, made: Excitation, friction: FrictionModel, seed: int
+) -> Response:
+    """Evaluate the run of an excitation.
+
+    Raises:
+        InputError: The recording does not contain a usable response.
+    """
+    started = time.perf_counter()
+    bench, place = document.value, loop_place(document)
+    dataset = load_run(folder)
+    recorded = {r.name.partition("[")[0]: r for r in dataset.recordings}
+    step, lines = place.step_rad, made.frequency_Hz
+    try:
+        parts = {
+            name: numerics.spectra([recorded[name]], lines, made.windows[name], step, place.host)
+            for name in (SMALL, LARGE)
+            if name in recorded
+        }
+        if place.host and place.stated is not None:
+            fitted = Fitted(place.stated, 0.0, False)
+        else:
+            tones = [recorded[name] for name in parts]
+            highest = FITTED_SHARE * bench.cycle_Hz
+            fitted = numerics.fit_gains(tones, highest, step, place.stated)
+            parts = {
+                name: numerics.without_images(part, fitted.gains, bench.cycle_s)
+                for name, part in parts.items()
+            }
+        small, large = parts.get(SMALL, parts[LARGE]), parts[LARGE]
+        seen = small.together(large) if SMALL in parts else large
+        loops = numerics.loops(seen, fitted.gains)
+        if "position" not in loops:
+            raise NoResponseError("the noise hides the position loop on nearly all lines")
+    except NoResponseError as error:
+        raise InputError(f"{folder}: {error}") from error
+    quiet = np.zeros(len(lines))
+    if QUIET in recorded:
+        noise = numerics.background(recorded[QUIET], lines, made.windows[QUIET])
+        quiet = noise / (np.abs(large.mean().angle[0]) * large.amplitude_rad)
+    speed = 0.85 * made.carrier_rad_s
+    inertia, damping = linear_plant(friction, speed)
+    plant = numerics.rigid_plant(lines, inertia, damping)
+    model = {
+        name: OpenLoop(loops[name].frequency_Hz, loop.response[at])
+        for name, loop in numerics.with_plant(seen, fitted.gains, plant).items()
+        if name in loops
+        for at in [np.isin(lines, loops[name].frequency_Hz)]
+    }
+    return Response(
+        bench.name,
+        place,
+        seen,
+        fitted,
+        loops,
+        margins_of(seen, fitted, loops),
+        quiet,
+        numerics.bent(small, large) if SMALL in parts else np.zeros(len(lines)),
+        model,
+        inertia,
+        damping,
+        friction,
+        numerics.ripple(recorded[LARGE], made.windows[LARGE]),
+        Provenance.of(seed, dataset.recordings, time.perf_counter() - started, folder),
+    )
+
+
+def margins_of(
+    seen: Spectra, fitted: Fitted, loops: Mapping[str, OpenLoop]
+) -> dict[str, dict[str, Estimate]]:
+    """Return the margins of open loops with intervals: from the scatter over the windows, and from
+    the errors of the fitted gains, which grow with the torque that the gains leave.
+    """
+    found, gains = {}, fitted.gains
+    others = [
+        dataclasses.replace(gains, position=gains.position * (1.0 + GAIN_ERROR * fitted.misfit)),
+        dataclasses.replace(gains, filter_Hz=gains.filter_Hz / (1.0 + CUT_ERROR * fitted.misfit)),
+    ]
+    for name, loop in loops.items():
+        part = seen.only(np.isin(seen.frequency_Hz, loop.frequency_Hz))
+
+        def compute(
+            one: Spectra, with_gains: Gains = gains, name: str = name, loop: OpenLoop = loop
+        ) -> dict[str, float | None]:
+            exact = numerics.loops(one.mean(), with_gains)[name]
+            return numerics.margins(dataclasses.replace(exact, error=loop.error)).values()
+
+        each = numerics.with_intervals(part, compute)
+        moved = [compute(part, other) for other in others] if fitted.misfit else []
+        found[name] = {key: _widened(e, [m[key] for m in moved]) for key, e in each.items()}
+    return found
+
+
+def _widened(found: Estimate, moved: Sequence[float | None]) -> Estimate:
+    """Return an estimate with an interval that also contains independent changes."""
+    value, low, high = found
+    if value is None or low is None or high is None:
+        return found
+    half = math.hypot(0.5 * (high - low), *(m - value for m in moved if m is not None))
+    return Estimate(value, value - half, value + half)
+
+
+def response_record(found: Response) -> dict[str, Any]:
+    """Return the record of ``rig response --json``."""
+    seen = found.seen
+    one = seen.mean()
+    loops = numerics.loops(one, found.fitted.gains)
+    curves = {"plant": one.plant, "closed": one.closed}
+    curves |= {f"open_{name}": loop.response for name, loop in loops.items()}
+    certain = {name: loop.frequency_Hz for name, loop in found.loops.items()}
+    lines = [
+        {
+            "frequency_Hz": float(f),
+            "amplitude_deg": math.degrees(float(seen.amplitude_rad[k])),
+            "coherence": float(seen.coherence()[k]),
+            "background": float(found.background[k]),
+            "amplitudes_differ": float(found.differ[k]),
+            "certain": [name for name, at in certain.items() if f in at],
+            **{name: _polar(values[k]) for name, values in curves.items()},
+        }
+        for k, f in enumerate(seen.frequency_Hz)
+    ]
+    return {
+        **found.provenance.record(RESPONSE_SCHEMA),
+        "bench": found.bench,
+        "loop_closed_by": found.place.host or "drive",
+        "gains": gains_record(found.fitted.gains),
+        "gains_misfit": found.fitted.misfit,
+        "gains_alike": found.fitted.alike,
+        "margins": {
+            name: {
+                **{key: value._asdict() for key, value in each.items()},
+                "highest_line_Hz": float(found.loops[name].frequency_Hz[-1]),
+            }
+            for name, each in found.margins.items()
+        },
+        "model": {
+            "source": found.friction.source,
+            "inertia_kg_m2": found.inertia,
+            "damping_N_m_s_rad": found.damping,
+            "margins": {n: numerics.margins(loop).values() for n, loop in found.model.items()},
+        },
+        "lines": lines,
+        "spectra": spectra_record(seen),
+    }
+
+
+def _polar(value: complex) -> dict[str, float]:
+    return {
+        "gain_dB": 20.0 * math.log10(abs(value)),
+        "phase_deg": math.degrees(math.atan2(value.imag, value.real)),
+    }
+
+
+def gains_record(gains: Gains) -> dict[str, Any]:
+    """Return gains by name with their units."""
+    return {n: {"value": finite(v), "unit": GAIN_UNITS[n]} for n, v in asdict(gains).items()}
+
+
+def spectra_record(seen: Spectra) -> dict[str, Any]:
+    """Return the amplitudes in each window, real and imaginary, for a later design of gains."""
+    record: dict[str, Any] = {}
+    for name, values in vars(seen).items():
+        parts = np.stack([values.real, values.imag]) if np.iscomplexobj(values) else values
+        record[name] = plain(parts.tolist())
+    return record
+
+
+def read_response(path: Path) -> tuple[Spectra, Gains]:
+    """Return spectra and gains of a result of ``rig response``.
+
+    Raises:
+        InputError: The file is not such a result.
+    """
+    record = read_json(path)
+    try:
+        if record["schema"] != RESPONSE_SCHEMA:
+            raise ValueError(f"schema {record['schema']}")
+        arrays: dict[str, Any] = {}
+        for name, values in record["spectra"].items():
+            array = np.array(values, dtype=np.float64)
+            arrays[name] = array[0] + 1j * array[1] if array.ndim == 3 else array
+        given = {name: entry["value"] for name, entry in record["gains"].items()}
+        known = {name: math.inf if v is None else float(v) for name, v in given.items()}
+        return Spectra(**arrays), Gains(**known)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InputError(f"{path}: not a result of `rig response` ({error})") from error
+
+
+def margins_rows(
+    margins: Mapping[str, Mapping[str, Estimate]], loops: Mapping[str, OpenLoop]
+) -> Iterator[tuple[str, ...]]:
+    """Yield the cells of loop, margins with intervals, and highest line."""
+    for name, each in margins.items():
+        cells = []
+        for key in ("phase_deg", "crossover_Hz", "gain_dB", "phase_crossing_Hz"):
+            value = each[key]
+            cells += [number(value.value, 4)]
+            if key in ("phase_deg", "gain_dB"):
+                cells += [interval(value.low, value.high)]
+        yield name, *cells, number(float(loops[name].frequency_Hz[-1]), 3)
+
+
+MARGIN_HEADER: Final = (
+    "open loop",
+    "phase margin, deg",
+    "90 % interval",
+    "crossover, Hz",
+    "gain margin, dB",
+    "90 % interval",
+    "at, Hz",
+    "highest line, Hz",
+)
+
+
+def gains_table(columns: Mapping[str, Gains]) -> Table:
+    """Return a table of gains, a column of values for each set."""
+    first = next(iter(columns.values()))
+    names = [n for n, v in asdict(first).items() if math.isfinite(v) and (n != "delay_s" or v)]
+    rows = []
+    for name in names:
+        unit = GAIN_UNITS[name]
+        if name == "position" and not first.speed and not first.ahead:
+            unit = "N m/rad"
+        values = (number(getattr(gains, name), 4) for gains in columns.values())
+        rows.append((name.partition("_")[0], *values, unit))
+    return Table(("gain", *columns, "unit"), tuple(rows), tuple(range(1, len(columns) + 1)))
+
+
+def response_document(found: Response) -> Document:
+    """Return a measured response as a document."""
+    table = Table(
+        MARGIN_HEADER, tuple(margins_rows(found.margins, found.loops)), tuple(range(1, 8))
+    )
+    position = found.margins["position"]["phase_deg"].value
+    headline = "No crossover of the position loop among the lines"
+    if position is not None:
+        headline = f"Phase margin of the position loop: {position:.0f} deg"
+    verdict = Verdict(headline, f"The loop is closed {found.place.words}.", "good")
+    head = Section("", (verdict, table, *map(Note, _remarks(found))))
+    gains = Section("Gains", (gains_table({"measured": found.fitted.gains}),))
+    model = Section("", (_model_table(found),)) if found.model else None
+    summary = tuple(part for part in (head, gains, model) if part is not None)
+    sections = (*summary, Section("Response", tuple(_pictures(found))), _lines_section(found))
+    return Document(
+        f"Frequency response of {found.bench}",
+        f"{len(found.seen.frequency_Hz)} lines, {found.seen.windows} windows",
+        summary,
+        (*sections, provenance_section(found.provenance)),
+    )
+
+
+def _model_table(found: Response) -> Table:
+    rows = []
+    for name, loop in found.model.items():
+        m = numerics.margins(loop)
+        rows.append((name, *(number(v, 4) for v in m.values().values())))
+    header = ("the model predicts", *(MARGIN_HEADER[k] for k in (1, 3, 4, 6)))
+    return Table(header, tuple(rows), (1, 2, 3, 4))
+
+
+def _remarks(found: Response) -> Iterator[str]:
+    """Yield what the reader must know of this response."""
+    if found.fitted.alike and found.place.stated is None:
+        yield (
+            "the drive feeds the whole rate of the command forward: position gain and reset look "
+            "alike from outside; the greater one is taken for the position gain"
+        )
+    far = found.differ > BENT
+    if np.any(far):
+        at = ", ".join(f"{f:.3g}" for f in found.seen.frequency_Hz[far])
+        yield f"the plant differs between the two amplitudes at {at} Hz: it is not linear there"
+    level = found.friction.values["Mc"]
+    tone = float(np.median(found.seen.amplitude_rad * np.abs(found.seen.s)))
+    damping = float(numerics.describing_damping(level, np.array([tone]))[0])
+    yield (
+        "these are the loops of a joint that moves on. Around rest Coulomb friction acts as a "
+        f"damping that falls with the amplitude: {damping:.3g} N m s/rad at {tone:.2g} rad/s "
+        f"(describing function, {level:.3g} N m)"
+    )
+
+
+def _pictures(found: Response) -> Iterator[Paragraph | Picture]:
+    one, f = found.seen.mean(), found.seen.frequency_Hz
+    model: Complex = numerics.rigid_plant(f, found.inertia, found.damping)
+    yield Paragraph(
+        f"Model: {found.inertia:.4g} kg m^2 and {found.damping:.4g} N m s/rad, from "
+        f"{found.friction.source}."
+    )
+    curves = [Curve("plant", f, one.plant), Curve("model", f, model, False)]
+    made = bode(curves, " over rad/(N m)")
+    yield Picture.of("plant", "Plant, from torque to the angle of the motor", made)
+    drawn = [Curve(n, loop.frequency_Hz, loop.response) for n, loop in found.loops.items()]
+    drawn += [
+        Curve(f"{n}, model", loop.frequency_Hz, loop.response, False)
+        for n, loop in found.model.items()
+    ]
+    drawn.append(Curve("closed", f, one.closed))
+    yield Picture.of("loops", "Open loops and closed position loop", bode(drawn, ""), lead=True)
+    yield Picture.of("nyquist", "Nyquist plot of the open loops", nyquist(found.loops))
+
+
+def _lines_section(found: Response) -> Section:
+    seen = found.seen
+    one, coherence = seen.mean(), seen.coherence()
+    rows = tuple(
+        (
+            number(float(f), 4),
+            number(math.degrees(float(seen.amplitude_rad[k])), 3),
+            number(float(coherence[k]), 4),
+            percent(100.0 * float(found.background[k])),
+            number(20.0 * math.log10(abs(one.plant[k])), 4),
+            number(float(found.differ[k]), 2),
+        )
+        for k, f in enumerate(seen.frequency_Hz)
+    )
+    header = ("Hz", "tone, deg", "coherence", "without tones", "plant, dB", "differ, sigma")
+    return Section("Lines", (Table(header, rows, tuple(range(6))),))
