@@ -265,6 +265,8 @@ class Recording:
         partial: Whether the run stopped before the end of the command of this recording.
         start: Session time of the first sample, s, or None if only the recording's own time stamps
             are known.
+        session: Name of the session, if a dataset has recordings of several; each session has a
+            clock of its own, at whose zero the machine was cold.
         unit: Name of the machine, if a dataset has recordings of several of one kind.
         uncertainties: Standard deviations of known constants, by their place in this record
             (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); constants that are not
@@ -287,6 +289,7 @@ class Recording:
     notes: tuple[str, ...]
     partial: bool
     start: float | None
+    session: str
     unit: str
     uncertainties: Mapping[str, float]
 
@@ -323,6 +326,7 @@ class Recording:
         notes: tuple[str, ...] = (),
         partial: bool = False,
         start: float | None = None,
+        session: str = "",
         unit: str = "",
         uncertainties: Mapping[str, float] | None = None,
     ) -> None:

@@ -538,25 +538,37 @@ def lacks_common_origin(views: Sequence[View]) -> bool:
 
 
 def one_clock(recordings: Sequence[Recording]) -> bool:
-    """Whether the recordings, by starts or time stamps, follow one another on one clock."""
-    spans = sorted(r.span for r in recordings)
-    return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
+    """Whether the recordings of each session, by starts or time stamps, follow one another on one
+    clock.
+    """
+    return all(
+        ended < began
+        for session in {r.session for r in recordings}
+        for (_, ended), (began, _) in itertools.pairwise(
+            sorted(r.span for r in recordings if r.session == session)
+        )
+    )
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
     """Return the running time at which each recording begins, s.
 
-    If starts or time stamps follow one another, running time counts from the zero of their clock,
-    at which the machine was cold, provided that this zero precedes the first recording by no more
-    than the total duration of the recordings; otherwise running time counts from the start of the
-    first recording. The order of recordings without a common clock is unknown; each recording is
-    then assumed to start cold, with running time 0.
+    If starts or time stamps of a session follow one another, running time counts from the zero of
+    their clock, at which the machine was cold, provided that this zero precedes the first recording
+    by no more than the total duration of the recordings; otherwise running time counts from the
+    start of the first recording. The order of recordings without a common clock is unknown; each
+    recording is then assumed to start cold, with running time 0.
     """
-    if len(recordings) > 1 and one_clock(recordings):
-        first, last = (min(r.span[0] for r in recordings), max(r.span[1] for r in recordings))
-        zero = 0.0 if 0.0 <= first < last - first else first
-        return [r.span[0] - zero for r in recordings]
-    return [0.0] * len(recordings)
+    starts = [0.0] * len(recordings)
+    for session in {r.session for r in recordings}:
+        here = [k for k, r in enumerate(recordings) if r.session == session]
+        spans = [recordings[k].span for k in here]
+        if (len(here) > 1 or session) and one_clock([recordings[k] for k in here]):
+            first, last = (min(s[0] for s in spans), max(s[1] for s in spans))
+            zero = 0.0 if 0.0 <= first < last - first else first
+            for k, span in zip(here, spans, strict=True):
+                starts[k] = span[0] - zero
+    return starts
 
 
 def torque_scale(views: Sequence[View]) -> float:

@@ -70,6 +70,8 @@ SPREAD = 0.1
 """Standard deviation of the logarithm of the factor on amplitudes and speeds: an experiment that is
 chosen again is not the same experiment.
 """
+OFF_S = 1.0
+"""Time without power before a stage in a simulation, s."""
 WORK_S = 100.0
 """Duration of the work that warms the machine between two equal stages, s."""
 
@@ -285,7 +287,7 @@ class SimulatedBench:
         return plan
 
     def simulate(self, plan: Plan, machine: Machine, seed: int | None = None) -> Simulated:
-        """Simulate an experiment on a machine.
+        """Simulate an experiment on a machine that is cold at its beginning, on one clock.
 
         Args:
             plan: The experiment.
@@ -294,11 +296,12 @@ class SimulatedBench:
         """
         plant = SimulatedMachine(machine, np.random.default_rng(seed or 0))
         found: list[Recording] = []
-        squares, samples, problem = 0.0, 0, ""
+        squares, samples, problem, clock_s = 0.0, 0, "", 0.0
         for stage in plan.stages:
             plant.power(False)
             plant.hang(stage.weight_kg)
-            plant.rest(1.0)
+            plant.rest(OFF_S)
+            clock_s += OFF_S
             plant.power(True)
             here = plant.truth().angle_rad
             for repeat in range(stage.repeats):
@@ -314,6 +317,8 @@ class SimulatedBench:
                 )
                 first = len(move) + len(rest)
                 cut = slice(first, first + len(stage.targets))
+                got = got._replace(time=got.time + clock_s)
+                clock_s += len(command) * plan.cycle_s
                 found.append(_recording(stage, repeat, got, cut, self.constants))
                 here = float(stage.targets[-1])
         servo = self.document.value.servo

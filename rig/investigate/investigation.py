@@ -219,15 +219,16 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
             continue
         created = datetime.fromisoformat(record.created)
         first = first or created
-        late_s = (created - first).total_seconds()
+        late_s, session = (created - first).total_seconds(), ""
         if record.simulated and not record.realtime:
-            late_s = 0.0  # each simulated run starts cold
+            late_s, session = 0.0, folder.name  # each simulated run starts cold
         recordings += [
             dataclasses.replace(
                 r,
                 name=f"{folder.name}/{r.name}",
                 channels={**r.channels, "time": r.channels["time"] + late_s},
                 role="fit",
+                session=session,
             )
             for r in dataset.recordings
         ]

@@ -105,7 +105,7 @@ class SimulatedInvestigation(Investigation):
         """Return the recordings of a sequence on the machine, with noise of its own."""
         plan = make_plan(load_sequence(sequence), self.bench.document)
         found = self.bench.simulate(plan, self._machine, self.state.seed + number).recordings
-        return tuple(replace(r, name=f"{name}/{r.name}") for r in found)
+        return tuple(replace(r, name=f"{name}/{r.name}", session=name) for r in found)
 
     def strength(self) -> float:
         """Return the greatest residual of the nominal model, beyond that without effects and over

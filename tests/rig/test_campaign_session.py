@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.recording import Hoist, Model, Pendulum, Recording
-from identification.views.view import run_starts
+from identification.views.view import one_clock, run_starts
 from rig.common.errors import InputError
 from rig.sources import load_source
 
@@ -93,6 +93,18 @@ def test_iso_times_make_a_common_clock(tmp_path: Path) -> None:
     assert (a.start, b.start, c.start) == (1200.0, 10.0, 600.0)
     assert run_starts([a, b, c]) == [1200.0, 10.0, 600.0]
     assert "begins 1200 s into the session" in a.notes
+
+
+def test_each_session_starts_cold_on_a_clock_of_its_own() -> None:
+    def recorded(session: str, *starts: float) -> list[Recording]:
+        t = np.linspace(0.0, 20.0, 101)
+        return [Recording(t + s, np.sin(t), torque=np.cos(t), session=session) for s in starts]
+
+    first, second, alone = recorded("a", 1.0, 31.0), recorded("b", 2.0, 52.0), recorded("c", 3.0)
+    every = [*first, *second, *alone]
+    assert one_clock(every)
+    assert run_starts(every) == pytest.approx([1.0, 31.0, 2.0, 52.0, 3.0])
+    assert run_starts([*recorded("", 1.0, 31.0), *recorded("", 2.0)]) == [0.0] * 3
 
 
 @pytest.mark.parametrize(

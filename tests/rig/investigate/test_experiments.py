@@ -1,6 +1,7 @@
 """Experiments: within the limits of the bench, simulated on what is believed of it, and costed."""
 
 import dataclasses
+import itertools
 import json
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from identification.effects.model import CorrectedModel
 from identification.model.parameters import NOMINAL
+from identification.views.view import one_clock
 from rig.common.errors import InputError
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
@@ -16,6 +18,7 @@ from rig.config.sequence import StageSection, Tone, load_sequence, sequence_text
 from rig.investigate.experiments import (
     CONFIRM_S,
     HANG_S,
+    OFF_S,
     START_S,
     Part,
     SimulatedBench,
@@ -150,3 +153,16 @@ def test_the_peaks_of_a_plan_are_those_of_every_hypothesis() -> None:
     sticky = CorrectedModel({**NOMINAL, "Ms": 80.0})
     with pytest.raises(InputError, match="torque"):
         bench.plan(heavy, [MODEL, sticky])
+
+
+def test_the_stages_of_a_simulated_experiment_are_on_one_clock() -> None:
+    bench = SimulatedBench.of(load_bench("practical"))
+    stages = tuple(
+        swing(2.0, 1.0).stages[0].model_copy(update={"name": n, "repeats": 2}) for n in "ab"
+    )
+    plan = make_plan(as_document("x", [Part("x", stages)]), bench.document)
+    found = bench.simulate(plan, bench.machine(MODEL)).recordings
+    assert len(found) == 4
+    assert one_clock(found)
+    rests = [later.time[0] - first.time[-1] for first, later in itertools.pairwise(found)]
+    assert rests[1] > OFF_S + rests[0] - 0.1
