@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 1500
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward response weight-check fault-matrix process-matrix moments realtime fuzz mutants long clean prove-worlds makes units console proofs durand one-model
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward response pairs weight-check fault-matrix process-matrix moments realtime fuzz mutants long clean prove-worlds makes units console proofs durand one-model
 .DEFAULT_GOAL := help
 
 help:
@@ -119,6 +119,9 @@ weight-check: $(VENV)/.runtime  ## how often the weight check is right, on a sti
 
 response: $(VENV)/.dev  ## margins and proposed gains on 20 simulated benches against the linearised truth
 	$(BIN)/python -m tests.long.response --seed $(or $(SEED),1)
+
+pairs: $(VENV)/.dev  ## investigations of twelve pairs of effects that Figure 10 hardly tells apart (out/pairs.json)
+	$(BIN)/python -m tests.long.pairs
 
 fault-matrix: $(VENV)/.dev  ## every fault in every phase of a run on each transport (out/fault_matrix.md)
 	$(BIN)/python -m tests.long.fault_matrix
