@@ -82,7 +82,7 @@ def investigation_document(
     """
     minutes = f"{len(state.experiments)} experiments, {state.bench_seconds / 60.0:.1f} min"
     return Document(
-        f"Investigation of {name}",
+        f"Investigation: {name}",
         f"{minutes} of the bench; {state.ended}",
         tuple(_summary(state, judged, confirmation)),
         tuple(_sections(state, judged, confirmation, files)),

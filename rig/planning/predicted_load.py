@@ -51,9 +51,14 @@ class FrictionModel:
 
 
 def friction_model(
-    bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
+    bench: BenchConstants,
+    named: Path | None = None,
+    runs: Path = RUNS,
+    option: str = "--identification",
 ) -> FrictionModel:
-    """Return the friction ``named``, else the newest in ``runs`` of the bench, or the paper's."""
+    """Return the friction ``named`` with an ``option`` of a command, else the newest in ``runs`` of
+    the bench, or the paper's.
+    """
     if named is not None:
         return _identified(named, bench)
     newest: list[tuple[float, Path]] = []
@@ -67,7 +72,7 @@ def friction_model(
             continue  # an incomplete run folder does not state its bench
     words = (
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
-        f"because there is no identification of this bench; give a result with --identification"
+        f"because there is no identification of this bench; give a result with {option}"
     )
     return _model(bench, {}, NOMINAL_ALPHA, words, measured=False)
 

@@ -90,7 +90,7 @@ def _friction(bench: Document[Bench], result: Path | None) -> FrictionModel:
     from rig.planning.predicted_load import friction_model
     from rig.runs.run import bench_constants
 
-    return friction_model(bench_constants(bench.value), result)
+    return friction_model(bench_constants(bench.value), result, option="--result")
 
 
 def _measure(
