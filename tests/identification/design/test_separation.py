@@ -145,13 +145,17 @@ def test_the_level_is_antisymmetric_and_never_more_than_the_squares_allow() -> N
 
 
 def test_a_difference_that_few_blocks_show_counts_in_full() -> None:
-    noise = np.random.default_rng(6).standard_normal(4000)
+    """Over many draws, the level is what is expected; by blocks, no draw reaches a rejection."""
     apart = np.zeros(4000)
     apart[:40] = 3.0
-    best, rival = fitted(noise, 10), fitted(noise - apart, 10)
-    d = math.sqrt(40 * 9.0)
-    assert level(best, rival) == pytest.approx(0.5 * d, rel=0.4)
-    assert preference(best, rival) < REJECTED, "its scatter over blocks is as large"
+    expected, levels = 0.5 * math.sqrt(40 * 9.0), []
+    for seed in range(200):
+        noise = np.random.default_rng(seed).standard_normal(4000)
+        best, rival = fitted(noise, 10), fitted(noise - apart, 10)
+        levels.append(level(best, rival))
+        assert preference(best, rival) < REJECTED
+    # The noise of four blocks is estimated high as often as low, and counted at least as stated.
+    assert 0.85 * expected < np.mean(levels) <= expected
     misfit = fitted(1.2 * noise, 10), fitted(1.2 * noise - apart, 10)
     assert level(*misfit) == preference(*misfit), "more than noise is left"
 
