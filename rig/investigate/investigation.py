@@ -529,18 +529,17 @@ class Investigation:
             if effect.term.place is not None:
                 index = round(effect.shape[effect.term.place])
                 names |= {v.recording.name.split("/")[0] for v in joint.views if v.index == index}
-        repeated = {e.repeats for e in self.state.experiments} | {
-            e.run for e in self.state.experiments if e.repeats or not e.sequence
-        }
+        repeated = {e.repeats for e in self.state.experiments}
         for e in self.state.experiments:
-            if e.run in names - repeated:
+            if e.sequence and not e.repeats and e.run in names - repeated:
                 name = " and ".join(map(spoken, judged.weighed.hypotheses[0].names))
-                why = f"repeats {e.run}: whether {name} of one recording comes again"
+                reason = (
+                    f"repeats {e.run}: whether {name} of one recording comes again; "
+                    f"{e.seconds / 60.0:.1f} min of the bench"
+                )
                 sequence = load_sequence(self._folder / e.sequence)
-                cost = f"{e.seconds / 60.0:.1f} min of the bench"
-                said = f"{why}; {cost}"
                 return Proposal(
-                    "repeat", sequence, said, e.seconds, e.weight_changes, {}, {}, e.run
+                    "repeat", sequence, reason, e.seconds, e.weight_changes, {}, {}, e.run
                 )
         return None
 
