@@ -169,7 +169,7 @@ def tune(
     json_file: Path | None,
     **passed: Any,
 ) -> int:
-    """Propose gains for BENCH with stated margins, and the step to expect; write nothing.
+    """Propose gains for BENCH with stated margins, and state the expected step response.
 
     The gains follow from a response that is measured as by `rig response`, or from --result. With
     --write, the gains are tried in two runs, halfway and in full. After a limit, a lost margin or
