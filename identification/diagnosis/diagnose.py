@@ -17,6 +17,7 @@ from identification.diagnosis.held_out import (
     DROPPED,
     dropped_effects,
     validated_effects,
+    validation_rms,
     with_indistinct_effects,
 )
 from identification.diagnosis.joint import Joint
@@ -67,7 +68,7 @@ from identification.estimate.parameter_table import units_of
 from identification.numerics.arrays import spanned
 from identification.prepare import prepare
 from identification.recording import Dataset, RecordingError
-from identification.views.view import View, forget, views
+from identification.views.view import View, forget, one_clock, views
 
 IDENTIFIED = (Verdict.NAMED, Verdict.AMBIGUOUS)
 
@@ -121,10 +122,11 @@ def diagnose(
     whole = _Whole(everything, found, nominal, bandwidth, estimate is not None, rng)
     identified = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
     shown = _shown(whole, judged, identified)
-    if (doubt := _doubt(shown, judged)) is not None:
+    left = floors_left(_with_own_starts(shown.main, found, aside))
+    if (doubt := _doubt(shown, judged, left)) is not None:
         where = judged.where or place_of(found, judged.maps)
         names = tuple(e.name for e in identified)
-        why_not = Reason(doubt, found, names, left=floors_left(shown.main))
+        why_not = Reason(doubt, found, names, left=left)
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
         shown = _shown(whole, judged, ())
     verdict, where, drawn, reason = judged
@@ -242,7 +244,18 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
     return _Shown(effects, before, after, constants, fits, main, traces)
 
 
-def _doubt(shown: _Shown, judged: Judged) -> Kind | None:
+def _with_own_starts(main: Fit, found: Search, aside: Sequence[View]) -> Fit:
+    """Return the errors with those of recordings set aside after a fit of their states at the
+    start, if these states are unknown because the recordings have no common clock.
+    """
+    every = [v.recording for v in (*found.baseline.views, *aside)]
+    if main.validate_final_rms is None or one_clock(every):
+        return main
+    fitted = validation_rms(found.final, aside).get(main.equation, main.validate_final_rms)
+    return replace(main, validate_final_rms=min(main.validate_final_rms, fitted))
+
+
+def _doubt(shown: _Shown, judged: Judged, left: float) -> Kind | None:
     """Return why the reported model contradicts its verdict, or None if it does not.
 
     *Nothing is missing* requires that the nominal model explains the torque, down to about the
@@ -253,7 +266,7 @@ def _doubt(shown: _Shown, judged: Judged) -> Kind | None:
         if grown(shown.after, shown.before, shown.main.equation):
             return Kind.NOT_BETTER
         # At instants the rows, less the rate of rise, have judged already.
-        much = floors_left(shown.main) > RULES.floors_left
+        much = left > RULES.floors_left
         return Kind.MUCH_LEFT if much and shown.main.equation not in AT_INSTANTS else None
     if judged.verdict is not Verdict.NOTHING_MISSING:
         return None

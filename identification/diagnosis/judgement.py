@@ -30,6 +30,7 @@ from identification.diagnosis.statement import finding
 from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Array, Bench
+from identification.views.view import one_clock
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
 """Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint. The part
@@ -231,7 +232,11 @@ def _effect(
     needed = excess[own.name].before if alone else without
     incomplete = found.p_after <= RULES.level or little_unseen(found)
     confidence = confidence_of(taken, quality, incomplete, needed, alone)
-    if over_speed or not entry.shows_a_period(found.baseline.views):
+    views = found.baseline.views
+    # That each recording starts cold is then an assumption, which the set-aside error cannot test:
+    # it fits the state at the start of a recording.
+    assumed_cold = bool(entry.start) and not one_clock([v.recording for v in views])
+    if over_speed or assumed_cold or not entry.shows_a_period(views):
         confidence = min(confidence, RULES.undecided_confidence)
     rivals = tuple(
         Rival(

@@ -113,9 +113,9 @@ def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_
         }
         assert list(rungs) == list(LADDER)
         scored = {friction: rung.result.fit.validate_rms for friction, rung in rungs.items()}
-        assert scored["stribeck"] < scored["coulomb_viscous"]
-        assert scored["stribeck_load_dependent"] < 0.95 * scored["stribeck"]
-        assert scored["load_dependent"] < scored["stribeck"]
+        without_load = min(scored["stribeck"], scored["coulomb_viscous"])
+        assert scored["load_dependent"] < 0.8 * without_load
+        assert scored["stribeck_load_dependent"] < 1.01 * scored["load_dependent"]
         for rung in rungs.values():
             assert rung.result.fit.unit == "V"
             assert 5.0 < 1e3 * rung.angle.angle_rms < worst_mrad

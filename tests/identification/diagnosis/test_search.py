@@ -135,6 +135,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert one_clock(hidden)
     found = diagnose(Dataset(hidden, Model()), rng=np.random.default_rng(0))
     assert [e.name for e in found.effects] == ["coulomb_drift"]
+    assert found.effects[0].confidence > 0.5
     drift = {"coulomb_drift": {"rate_Nm_s": 0.12, "time_s": 5.0}}
     apart = tuple(
         replace(campaign(drift, 3 + k, 6.0)[0], name=f"r{k}", role="validate" if k == 3 else "fit")
@@ -146,6 +147,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert [e.name for e in found.effects] == ["coulomb_drift"]
     assert found.effects[0].parameters["rate_Nm_s"].value == pytest.approx(0.12, rel=0.15)
     assert found.effects[0].parameters["time_s"].value == pytest.approx(5.0, rel=0.3)
+    assert found.effects[0].confidence <= 0.5
     assert any("no common clock" in w for w in found.warnings)
 
 
