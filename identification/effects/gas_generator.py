@@ -78,7 +78,7 @@ class BurningAreaChange(GasGeneratorEffect):
 
 
 class ErosiveBurning(GasGeneratorEffect):
-    """Burning rate that grows with the speed of the gas along the surface."""
+    """Burning rate that grows with the speed of the gas at the surface."""
 
     equation = """r = a p_g^n (1 + k u), u = A_t R_g T_g / (C_r A_b), the speed at which the gas
         leaves the surface"""
@@ -91,7 +91,7 @@ class ErosiveBurning(GasGeneratorEffect):
         In a logarithmic plot of the steady pressure over the throat area, erosion bends the line
         upward at wide throats, a leak bends the line downward at narrow throats, and with a wrong
         exponent the line stays straight."""
-    sentence = "the burning rate grows by {coefficient_s_m:%/(m/s)} of gas speed along the surface"
+    sentence = "the burning rate grows by {coefficient_s_m:%/(m/s)} of gas speed at the surface"
     slots = (kernel.EROSION,)
     scale = 1e-3
 

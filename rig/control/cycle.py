@@ -126,7 +126,7 @@ class Cycle:
         self._latch.ask()
 
     def end(self) -> None:
-        """Open the safety latch at the regular end of a run; no command can follow."""
+        """Open the safety latch at the regular end of a stage; no command can follow before a reset."""
         self._latch.open()
 
     def use(self, limits: Limits) -> None:

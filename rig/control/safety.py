@@ -220,7 +220,7 @@ class Latch:
         return self._trip
 
     def open(self) -> None:
-        """Open the latch at the regular end of a run, and cancel a reset request."""
+        """Open the latch at the regular end of a stage, and cancel a reset request."""
         self._trip = _NOT_RESET
         self._asked = False
 
