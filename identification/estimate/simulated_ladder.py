@@ -20,12 +20,7 @@ from identification.model.parameters import (
 )
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import each
-from identification.numerics.least_squares import (
-    Box,
-    Minimum,
-    huber_weight,
-    minimise_within,
-)
+from identification.numerics.least_squares import Box, Minimum, huber_weight, minimise
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import Prepared, contact_moment, joint_angle, prepare, uniform_grid
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
@@ -442,14 +437,14 @@ def _searched(pieces: Sequence[Piece], begun: LoopFit, rule: tuple[float, int]) 
         prior = [[(n == m) / s for m in c.names] for n, s in c.prior.items()]
         return np.concatenate([data, np.reshape(prior, (len(c.prior), len(x)))])
 
-    return minimise_within(
+    return minimise(
         residuals,
         jacobian,
         begun.x,
-        c.box,
         threshold=threshold,
         tolerance=rule[0],
         most_steps=rule[1],
+        box=c.box,
     )
 
 
