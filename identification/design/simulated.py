@@ -170,14 +170,11 @@ def at_the_truth(
     begun = Point.of(known, vector, free, Model(), Noise(torque_noise(known)))
     point = optimise_breakaway_times(begun, HUBER_THRESHOLD)
     point = replace(point, noise=likeliest_noise(point))
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
+    _, _, residual, jacobian = point.linearised()
     inside = residual[: len(residual) - point.breakaways]
     neighbours = abs(float(np.mean(inside[1:] * inside[:-1])))
     if neighbours > MOST_WHITENESS * float(np.mean(inside**2)):
         return None
-    jacobian = held.jacobian(x, residual)
     inflation = inflation_by(point.experiment, jacobian.without(free.index(INDEX["J"])))
     return Replicate(replace(point, inflation=inflation), jacobian, residual, noise)
 

@@ -220,10 +220,6 @@ class Point:
     def derivatives(
         self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
-        """Return d errors / d x, divided by the deviations, and d log deviations / d x."""
-        return self.sensitivities(x, deviations)
-
-    def sensitivities(self, x: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x, divided by the deviations, and d log deviations / d x.
 
         The derivatives are bounded like the finite differences: in stick-slip a residual depends
@@ -259,6 +255,14 @@ class Point:
         """Return residuals over their deviations as a function of the free vector near here."""
         _, deviations = self.run()
         return Weighted(self, self._inflated(deviations), step)
+
+    def linearised(self) -> tuple[Weighted, Array, Array, BlockArrow]:
+        """Return :meth:`weighted` residuals, the free vector of the point, and the residuals and
+        their derivatives there.
+        """
+        held, x = self.weighted(), self.origin()
+        residual = held.residuals(x)
+        return held, x, residual, held.jacobian(x, residual)
 
     def differences(
         self, x: Array, change: Callable[[Array], Array], step: float = PARAMETER_STEP
@@ -299,7 +303,7 @@ class Weighted:
         default, by finite differences; ``here`` are the residuals at ``x``.
         """
         if self.step == PARAMETER_STEP:
-            return self.point.sensitivities(x, self.deviations)[0]
+            return self.point.derivatives(x, here, self.deviations)[0]
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )
@@ -447,10 +451,8 @@ def reduce(point: Point, threshold: float = np.inf) -> Reduced:
 
     ``threshold``: residual size beyond which Huber's weight is below one.
     """
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
-    found = held.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
+    _, _, residual, jacobian = point.linearised()
+    found = jacobian.eliminated(residual, huber_weight(residual, threshold))
     inside = residual[: len(residual) - point.breakaways]
     return Reduced(
         normal=found.matrix,
