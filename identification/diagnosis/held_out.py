@@ -64,7 +64,7 @@ def validation_residual(
     stack = joint.unseen(aside)
     if stack is None:
         return None
-    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    left = stack.measured
     for effect in joint.effects:
         # An effect that occurs in one recording only, such as a mislabelled weight, does not occur
         # in recordings set aside.

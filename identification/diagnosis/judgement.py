@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.comparison import Contender, Round, probability
-from identification.diagnosis.joint import Joint, contribution, estimates, without_effect
+from identification.diagnosis.joint import Joint, estimates, without_effect
+from identification.diagnosis.linear import contribution
 from identification.diagnosis.locate import best_map, location, maps
 from identification.diagnosis.reasons import Excess, Kind, Reason, excess_of, reason_outside
 from identification.diagnosis.removal import judging_equations

@@ -53,6 +53,21 @@ def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     return np.asarray(found + inverse @ (columns.T @ (target - columns @ found) / length) / length)
 
 
+def unit_columns(columns: Array) -> tuple[Array, Array]:
+    """Return columns of unit norm, shape (n, p), and the scale by which they were divided, (p,); a
+    column of zeros stays.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    return columns / scale, scale
+
+
+def scaled_least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
+    """Return :func:`least_squares` coefficients of columns whose norms may differ by far."""
+    even, scale = unit_columns(columns)
+    return least_squares(even, target, rcond) / scale
+
+
 def equilibrated(normal: Array) -> tuple[Array, Array]:
     """Return a normal matrix scaled to a diagonal of ones, shape (p, p), and the scale of its
     columns, shape (p,).
@@ -82,11 +97,8 @@ def bounded_least_squares(design: Design) -> tuple[Array, float]:
     noise-free data.
     """
     p = design.columns.shape[1]
-    scale = np.linalg.norm(design.columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    reduced: Array = np.asarray(
-        np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r")
-    )
+    even, scale = unit_columns(design.columns)
+    reduced: Array = np.asarray(np.linalg.qr(np.column_stack([even, design.target]), mode="r"))
     matrix, right = reduced[:p, :p], reduced[:p, p]
     rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
     low, high = design.low * scale, design.high * scale
