@@ -442,14 +442,7 @@ def curve_of(
         left[fold == k] -= np.interp(place[fold == k], *part_curve)
     if not float(left @ left) < (1.0 - RULES.least_curve_gain) * float(error @ error):
         return None
-    return Curve(
-        where.equation,
-        where.coordinate,
-        where.unit,
-        where.residual_unit,
-        *whole,
-        where.against_motion,
-    )
+    return where.curve(*whole)
 
 
 def _binned(place: Array, error: Array) -> tuple[Array, Array] | None:
