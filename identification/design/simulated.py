@@ -168,7 +168,7 @@ def at_the_truth(
     free = [INDEX[n] for n in names]
     vector = pack(nominal.values, nominal.alpha)
     begun = Point.of(known, vector, free, Model(), Noise(torque_noise(known)))
-    point = optimise_breakaway_times(begun, HUBER_THRESHOLD)
+    point = optimise_breakaway_times(begun)
     point = replace(point, noise=likeliest_noise(point))
     _, _, residual, jacobian = point.linearised()
     inside = residual[: len(residual) - point.breakaways]

@@ -13,6 +13,7 @@ import numpy as np
 from identification.effects.effect import (
     CLOSE,
     EXACT,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -150,7 +151,7 @@ class AsymmetricCoulomb(Effect):
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(np.ones(len(view.time)))
 
-    def impossible(self, coefficients: tuple[float, ...], nominal: Nominal) -> str:
+    def impossible(self, coefficients: Coefficients, nominal: Nominal) -> str:
         if abs(coefficients[0]) <= nominal.values.get("Mc", np.inf):
             return ""
         return "friction that drives the motion in one direction"
@@ -429,12 +430,10 @@ class FrictionPlay(Effect):
             "inertia_kgm2": float(c[1]),
         }
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["gap_rad"],), (values["friction_share"], values["inertia_kgm2"])
 
-    def feeds_back(
-        self, nominal: Nominal, shape: Shape, _coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, shape: Shape, _coefficients: Coefficients) -> Nominal:
         return replace(nominal, play=shape[0])
 
     def indistinct(
@@ -512,7 +511,7 @@ class ViscousThermalDrift(Effect):
         viscous = max(context.nominal.get("sigma_2"), 1e-300)
         return {"fraction": -float(c[0]) / viscous, "time_s": shape[0]}
 
-    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["time_s"],), (-values["fraction"] * nominal.get("sigma_2"),)
 
 

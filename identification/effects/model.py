@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.effects import EFFECTS
-from identification.effects.effect import Columns, Effect, Shape
+from identification.effects.effect import Coefficients, Columns, Effect, Shape
 from identification.estimate.default import identify_any_length
 from identification.estimate.equation_error import LEAST_MOTION
 from identification.model.parameters import UNITS_ROTARY
@@ -60,7 +60,7 @@ class Response(NamedTuple):
     effect: Effect
     columns: Columns
     shape: Shape
-    coefficients: tuple[float, ...]
+    coefficients: Coefficients
 
     def added(self, view: View, nominal: Nominal) -> Array:
         """Return what the effect adds, shape (m,)."""
@@ -91,7 +91,7 @@ class CorrectedModel:
     catalogue: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS, repr=False)
 
     @cached_property
-    def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, tuple[float, ...]]]]:
+    def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, Coefficients]]]:
         """Nominal values for the regressors, and parameters and coefficients of each effect."""
         plain = nominal = Nominal(self.parameters, (), self.alpha)
         placed = {n: self.catalogue[n].at(given, plain) for n, given in self.effects.items()}
@@ -184,6 +184,11 @@ class CorrectedModel:
         """
         found = [r for r in self.responses("torque") if r.effect.on_drive]
         return view.transmitted - self._sum(np.zeros(len(view.time)), found, view)
+
+    def added_torque(self, view: View) -> Array:
+        """Return the torque that effects and curve add to the nominal model, N m, shape (m,)."""
+        plain = dataclasses.replace(self, effects={}, curve=None)
+        return (self.torque(view) - plain.torque(view)) - (self.drive(view) - plain.drive(view))
 
     def twist(self, view: View) -> Array:
         """Return motor_angle / i - angle up to a constant, rad, shape (n,)."""
@@ -319,9 +324,7 @@ def refit(
 
 
 def _without(recording: Recording, view: View, model: CorrectedModel) -> Recording:
-    plain = dataclasses.replace(model, effects={}, curve=None)
-    added = (model.torque(view) - plain.torque(view)) - (model.drive(view) - plain.drive(view))
-    measured = recording.channels
+    added, measured = model.added_torque(view), recording.channels
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
             f"{recording.name}: effects are subtracted from the torque or the current, but "

@@ -28,7 +28,6 @@ from identification.estimate.searches import (
     refine_stages,
 )
 from identification.filter.likelihood import (
-    HUBER_THRESHOLD,
     ROUNDS,
     Point,
     Reduced,
@@ -262,7 +261,7 @@ def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))
-    there = search_breakaway_times(begun, HUBER_THRESHOLD)
+    there = search_breakaway_times(begun)
     solved = covariances(there, bias.replicates)
     x = there.origin()
     x[: len(solved.step)] += solved.step
@@ -408,10 +407,10 @@ def refine_pieces(
             point, rounds = Point.of([moving], vector, free, model, start.noise), ROUNDS
             if k in begins:
                 point, rounds = replace(point, breakaway_times=begins[k]), 1
-            point = optimise_breakaway_times(point, HUBER_THRESHOLD, rounds)
+            point = optimise_breakaway_times(point, rounds)
             left_out.pop(piece.name, None)
             begins[k] = point.breakaway_times
-            found.append(reduce(point, HUBER_THRESHOLD))
+            found.append(reduce(point))
             evaluations += point.filter.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
         step, length = _step(found)

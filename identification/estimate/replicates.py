@@ -232,9 +232,7 @@ def _step(joint: Point, loop: Loop, share: float, seed: int, sign: float) -> _Sc
     if len(seen) < len(motions):
         return None
     others = [k for k in joint.free if k != INERTIA]
-    point = search_breakaway_times(
-        Point.of(seen, joint.vector, others, Model(), joint.noise), HUBER_THRESHOLD
-    )
+    point = search_breakaway_times(Point.of(seen, joint.vector, others, Model(), joint.noise))
     point = point.freeing(joint.free)
     point = replace(point, inflation=segment_inflation(point, others))
     return _scored(point, seed)

@@ -329,7 +329,7 @@ def _likelihood(point: Point, reach: float = math.inf) -> Searched:
         )
         iterations += found.steps
         there = point.moved(found.x)
-        point, moved = there.weighted().with_best_breakaways(HUBER_THRESHOLD)
+        point, moved = there.weighted().with_best_breakaways()
         if found.beaten or not moved:
             break
     return Searched(point, iterations)

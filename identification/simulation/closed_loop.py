@@ -244,8 +244,8 @@ def simulate(
     n = len(inputs.time)
     angles, speeds, torques = np.zeros(n), np.zeros(n), np.zeros(n)
     angles[0], speeds[0] = angle, velocity
-    columns = map(np.ascontiguousarray, vars(inputs).values())
-    closed_loop(*columns, body, loop, step, angles, speeds, torques)
+    time, command, scale, added, moment = map(np.ascontiguousarray, vars(inputs).values())
+    closed_loop(time, command, scale, added, moment, body, loop, step, angles, speeds, torques)
     return Response(inputs.time, angles, speeds, torques)
 
 

@@ -53,11 +53,7 @@ def at(
     """Return the joint fit at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
     begun = Point.of(motions, pack(values, 2.0), [], Model(), Noise(torque_noise(motions)))
-    point, _ = (
-        replace(begun, noise=likeliest_noise(begun))
-        .weighted()
-        .with_best_breakaways(HUBER_THRESHOLD)
-    )
+    point, _ = replace(begun, noise=likeliest_noise(begun)).weighted().with_best_breakaways()
     return point.freeing([INDEX[n] for n in names])
 
 
