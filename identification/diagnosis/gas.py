@@ -556,17 +556,17 @@ def diagnose_gas(
     scored = cast(GasFit, found.final if effects else found.baseline)
     bandwidth = 0.5 / min(b.step for b in here)
     equation, both = found.baseline.equations[0], (found.baseline, scored)
-    rms = [
+    rms, corrected = (
         equation.sigma * math.sqrt(float(np.mean(j.residual[equation.owner >= 0] ** 2)))
         for j in both
-    ]
+    )
     traces = _traces_of(equation, *(j.residual for j in both))
     unseen = [seen for j in both if aside and (seen := validation_residual(j, aside)) is not None]
     held = [rms_by_equation(*seen)[equation.name] for seen in unseen]
     if unseen:
         (stack, before), (_, after) = unseen
         traces += _traces_of(stack.equations[0], before, after)
-    main = Fit(equation.name, equation.unit, bandwidth, *rms, equation.sigma, *held)
+    main = Fit(equation.name, equation.unit, bandwidth, rms, corrected, equation.sigma, *held)
     units = {name: c.unit for name, c in {**CONSTANTS, "V_0": VOLUME}.items()}
     stated, fitted = (_constants(j) for j in both)
     return Diagnosis(

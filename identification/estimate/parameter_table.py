@@ -230,10 +230,10 @@ def parameter_table(
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
             _judge_rise(table, names, values, spread, keep_speed=shared)
-            static, speed = table[names[1]], table[names[2]]
-            if discrepant and static.identifiable and not speed.identifiable:
-                reason = f"{static.name} is extrapolated with {speed.name}: {speed.reason}"
-                table[static.name] = _withheld(static.name, static.unit, reason)
+            level, speed = table[names[1]], table[names[2]]
+            if discrepant and level.identifiable and not speed.identifiable:
+                reason = f"{level.name} is extrapolated with {speed.name}: {speed.reason}"
+                table[level.name] = _withheld(level.name, level.unit, reason)
     return table
 
 
@@ -316,10 +316,8 @@ def _judge(
         f"the value to count as identified: its half width, {half:.3g}{suffix}, exceeds {rule}"
     )
     if name == "J":
-        inertia, torque = (
-            max(float(np.std(series(p)[p.used])) for p in moving)
-            for series in (lambda p: value * p.acceleration, lambda p: p.torque)
-        )
+        inertia = max(float(np.std(value * p.acceleration[p.used])) for p in moving)
+        torque = max(float(np.std(p.torque[p.used])) for p in moving)
         interval = (
             f"J domega/dt is only {100.0 * inertia / torque:.2g} % of the torque, and {interval}"
         )
