@@ -327,6 +327,14 @@ class Effect:
         return self.enters if self.modelled is None else self.modelled
 
     @property
+    def corrected(self) -> Mapping[str, Columns]:
+        """Regressors of the corrected model, by equation; the torque at a breakaway is part of the
+        torque.
+        """
+        found = {e: c for e, c in self.columns.items() if e in self.exported}
+        return {"torque": found["breakaway"], **found} if "breakaway" in found else found
+
+    @property
     def freedom(self) -> int:
         """Number of parameters fitted in addition to the coefficients."""
         return len(self.refine) - (self.size is not None)

@@ -158,14 +158,10 @@ class CorrectedModel:
         }
 
     def responses(self, equation: str) -> Iterator[Response]:
-        """Yield what each effect adds to an equation; the torque at a breakaway is part of the
-        torque.
-        """
+        """Yield what each effect adds to an equation."""
         for name, (shape, coefficients) in self._fitted[1].items():
             effect = self.catalogue[name]
-            columns = {e: c for e, c in effect.columns.items() if e in effect.exported}
-            if equation == "torque" and "torque" not in columns and "breakaway" in columns:
-                columns["torque"] = columns["breakaway"]
+            columns = effect.corrected
             if equation in columns:
                 yield Response(effect, columns[equation], shape, coefficients)
 
