@@ -259,10 +259,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
 
 
 def views_for(
-    recordings: Sequence[Recording],
-    bandwidth_Hz: float,
-    model: CorrectedModel,
-    campaign: Sequence[Recording] = (),
+    recordings: Sequence[Recording], bandwidth_Hz: float, model: CorrectedModel
 ) -> tuple[View, ...]:
     """Return the views with which a model is compared: friction is a function of the valve's
     motion if an effect makes the transmission flexible, unless the valve hardly moves.
@@ -271,16 +268,15 @@ def views_for(
         recordings: Recordings.
         bandwidth_Hz: Bandwidth of the errors.
         model: The model.
-        campaign: All recordings of the campaign in order.
 
     Raises:
         RecordingError: A recording does not allow this bandwidth.
     """
     if any(model.catalogue[name].flexible for name in model.effects):
-        found = views(recordings, bandwidth_Hz, True, campaign)
+        found = views(recordings, bandwidth_Hz, True)
         if sum(int(np.sum(v.moving)) for v in found) >= LEAST_MOTION:
             return found
-    return views(recordings, bandwidth_Hz, campaign=campaign)
+    return views(recordings, bandwidth_Hz)
 
 
 def without_effects(
