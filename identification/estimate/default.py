@@ -247,13 +247,8 @@ def _asked(
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
         )
-        return (
-            (),
-            (),
-            [f"no {what}: the refinement by prediction errors, which it needs, was not accepted"]
-            if what
-            else [],
-        )
+        why = f"no {what}: the refinement by prediction errors, which it needs, was not accepted"
+        return (), (), [why] if what else []
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
     # Profiles and bootstrap results are centred at the maximum of the likelihood; the bias

@@ -20,6 +20,7 @@ from identification.model.friction import friction, static_friction
 from identification.model.parameters import INERTIA, pack
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
+from identification.numerics.least_squares import unit_columns
 from identification.recording import Recording
 
 STEPS = 20
@@ -229,10 +230,9 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
         rows.append(np.column_stack([own, others]))
         torques.append(torque)
     design, torque = np.concatenate(rows), np.concatenate(torques)
-    scale = np.linalg.norm(design, axis=0)
-    scale[scale == 0.0] = 1.0
-    solution = np.linalg.lstsq(design / scale, torque, rcond=None)[0]
-    left = torque - design / scale @ solution
+    even, scale = unit_columns(design)
+    solution = np.linalg.lstsq(even, torque, rcond=None)[0]
+    left = torque - even @ solution
     return (solution / scale)[:_GAINS], float(np.std(left) / max(float(np.std(torque)), 1e-12))
 
 
