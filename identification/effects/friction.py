@@ -106,11 +106,6 @@ def initial_friction(view: View, nominal: Nominal) -> float:
     return float(np.polyval(np.polyfit(places, left, 1), 0.0))
 
 
-def _last_rest(view: View) -> Array:
-    """Return the duration of the last rest, s, also at the sample that ends it."""
-    return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
-
-
 def _left_of_the_start(view: View, shape: Shape) -> Array:
     """Return what is left of a state that is 1 at the start of the running time."""
     return np.asarray(np.exp(-view.run_time / shape[0]))
@@ -327,7 +322,8 @@ class DwellStaticFriction(Effect):
     @staticmethod
     def breakaway(view: View, _nominal: Nominal, shape: Shape) -> Array:
         ends = np.concatenate(([False], view.still[:-1] & ~view.still[1:]))
-        grown = 1.0 - np.exp(-_last_rest(view) / shape[0])
+        last_rest = np.maximum(view.rest_time, np.roll(view.rest_time, 1))  # also where it ends
+        grown = 1.0 - np.exp(-last_rest / shape[0])
         return rows(view.sense * grown * (view.still | ends))
 
 

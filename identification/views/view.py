@@ -112,9 +112,11 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
         cutoff: Cut-off of the filter, Hz.
     """
     reach = round(0.5 * rate / cutoff)
-    found = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
+    size = 2 * reach + 1
+    swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
+    found = swing >= STEADY_SHARE * np.abs(velocity)
     if rate >= 2 * QUICK_SAMPLES * BEYOND_FILTER * cutoff:
-        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, size)
         found |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     return np.asarray(found)
 
@@ -123,14 +125,6 @@ def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
     """Return the sign of friction: the direction of motion, or at rest the sign of the torque."""
     here = np.where(still, np.sign(torque), np.sign(velocity))
     return np.asarray(here[last_marked(here != 0.0)])
-
-
-def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value within ``reach`` samples of each sample."""
-    size = 2 * reach + 1
-    return np.asarray(
-        ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
-    )
 
 
 def reversals(sense: Array) -> BoolArray:
