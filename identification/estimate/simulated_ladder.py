@@ -23,9 +23,8 @@ from identification.numerics.compiled import each
 from identification.numerics.least_squares import Box, huber_weight, minimise
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import Prepared, joint_angle, prepare, uniform_grid
-from identification.recording import Bench, Controller, Dataset, Model, Recording, RecordingError
+from identification.recording import Bench, Controller, Dataset, Model, Recording
 from identification.simulation.closed_loop import (
-    OPEN_LOOP,
     Inputs,
     body_of,
     inputs_of,
@@ -64,8 +63,11 @@ class Piece:
     inputs: Inputs  # inputs of the simulation, shape (n,)
     angle: Array  # measured angle, rad, shape (n,); the first value is the initial state
     velocity: float  # initial velocity, rad/s
-    # Whether `inputs.added` is the motor voltage; has no effect if there is a controller.
-    volts: bool
+
+    @property
+    def controller(self) -> Controller | None:
+        """Position loop of the recording; None if the motor's voltage is the only input."""
+        return _controller(self.recording)
 
     def predict(
         self, values: Mapping[str, float], motor: Motor, lateness: float, alpha: float
@@ -79,28 +81,26 @@ class Piece:
         if lateness:
             command = np.interp(inputs.time - lateness, inputs.time, inputs.command)
             inputs = replace(inputs, command=command)
-        loop, controller = OPEN_LOOP, self.recording.controller
-        if controller is not None and "command" in self.recording.channels:
-            loop = loop_of(controller, bench, self.recording.name)
-        elif self.volts:
-            loop = loop_of(Controller("voltage", 0.0), bench, self.recording.name)
+        loop = loop_of(self.controller or Controller("voltage", 0.0), bench, self.recording.name)
         body = body_of(values, self.recording, alpha)
         return simulate(body, loop, inputs, float(self.angle[0]), self.velocity, STEP_S).angle
 
 
+def _controller(recording: Recording) -> Controller | None:
+    """Return the position loop of a recording, or None if it or its command is not known."""
+    return recording.controller if "command" in recording.channels else None
+
+
 def pieces_of(prepared: Prepared) -> list[Piece]:
-    """Return the pieces of a recording: the whole recording if the controller is known, else pieces
-    of :func:`open_horizon`, whose initial states are those of the prepared velocity.
+    """Return the pieces of a :func:`predictable` recording: the whole recording if the controller
+    is known, else pieces of :func:`open_horizon`, whose initial states are those of the prepared
+    velocity.
     """
     recording = prepared.recording
     angle = joint_angle(recording)
-    if angle is None:
-        raise RecordingError(
-            f"{recording.name}: the recording has no angle channel, and a prediction starts from "
-            "the measured angle; add a channel `angle` or `motor_angle`"
-        )
-    looped = recording.controller is not None and "command" in recording.channels
-    inputs, volts = (inputs_of(recording), False) if looped else _open_inputs(recording)
+    assert angle is not None
+    looped = _controller(recording) is not None
+    inputs = inputs_of(recording) if looped else _voltage_inputs(recording)
     speed = np.interp(recording.time, uniform_grid(recording), prepared.raw_velocity)
     ends = _ends(recording.time, math.inf if looped else open_horizon(prepared))
     pieces = []
@@ -110,7 +110,7 @@ def pieces_of(prepared: Prepared) -> list[Piece]:
         if not np.all(np.isfinite(part.added)):
             continue
         start = 0.0 if looped and first == 0 else float(speed[first])
-        pieces.append(Piece(recording, part, angle[span], start, volts))
+        pieces.append(Piece(recording, part, angle[span], start))
     return pieces
 
 
@@ -133,24 +133,13 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
     return [0, *(int(k) for k in np.searchsorted(time, edges)), len(time)]
 
 
-def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return measured torque or voltage (NaN while off), and whether a voltage."""
-    channels, bench, time = recording.channels, recording.bench, recording.time
-    if "torque" in channels:
-        added, volts = channels["torque"], False
-    elif "current" in channels:
-        added, volts = channels["current"] * bench.ampere_torque, False
-    elif "voltage" in channels and bench.resistance is not None:
-        added, volts = channels["voltage"], True
-        if "enabled" in channels:
-            added = np.where(channels["enabled"] < 0.5, np.nan, added)
-    else:
-        raise RecordingError(
-            f"{recording.name}: the recording has no input for a simulation; add a torque, "
-            "current or voltage channel, or a `command` channel and the `controller` section"
-        )
-    still, ones = np.zeros(len(time)), np.ones(len(time))
-    return Inputs(time, still, ones, added, moment_of(recording)), volts
+def _voltage_inputs(recording: Recording) -> Inputs:
+    """Return the voltage of the motor, NaN while it is off, as the only input."""
+    channels, count = recording.channels, len(recording.time)
+    volts = channels["voltage"]
+    if "enabled" in channels:
+        volts = np.where(channels["enabled"] < 0.5, np.nan, volts)
+    return Inputs(recording.time, np.zeros(count), np.ones(count), volts, moment_of(recording))
 
 
 CONSTANTS = ("torque_constant", "resistance")
@@ -286,8 +275,8 @@ def coordinates(
         "resistance": Axis(-1.5, 1.5, 3e-3),
         LATENESS: Axis(0.0, _LATEST * scales.period, 0.03 * scales.period),
     }
-    looped = [p.recording.controller for p in pieces if "command" in p.recording.channels]
-    driven = any(p.volts for p in pieces) or any(c and c.output != "torque" for c in looped)
+    controllers = [p.controller for p in pieces]
+    driven = any(c is None or c.output != "torque" for c in controllers)
     names = ["Mc", "rise", "omega_sf", "sigma_2", "J"]
     names += ["mu_gc", "gear_rise"] if bears_load(rung) else []
     names += [DRIVE_SHARE] if DRIVE_SHARE in SIMULATED[rung] else []
@@ -297,7 +286,7 @@ def coordinates(
     if free and driven:
         prior = priors(pieces[0].recording)
     names = [n for n in names if n not in held] + list(prior)
-    names += [LATENESS] if any(looped) else []
+    names += [LATENESS] if any(controllers) else []
     return Coordinates(rung, tuple(names), axes, model, prior)
 
 
@@ -613,7 +602,7 @@ def predictable(recording: Recording) -> bool:
     channels, bench = recording.channels, recording.bench
     if joint_angle(recording) is None or recording.stage == "loaded":
         return False
-    if recording.controller is not None and "command" in channels:
+    if _controller(recording) is not None:
         return True
     constants = (bench.torque_constant, bench.back_emf_constant, bench.resistance)
     return (
