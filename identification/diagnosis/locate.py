@@ -169,8 +169,10 @@ def maps(
         )
         sign = sense if sided > share else np.ones(len(sense))
         bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
-        series = [x[known] for x in (values, sign * before, sign * after, block)]
-        made = map_over(coordinate.name, unit, equation, *series, stack.blocks, rng, bins)
+        x, first, last = (series[known] for series in (values, sign * before, sign * after))
+        made = map_over(
+            coordinate.name, unit, equation, x, first, last, block[known], stack.blocks, rng, bins
+        )
         if made is not None:
             most, against = max(share, sided), sided > share
             made = replace(made, share=most, against_motion=against, periodic=coordinate.periodic)

@@ -57,20 +57,23 @@ def fit_of(
     The unit is that of the torque; if only the voltage was measured, the unit is V, and the error
     is the armature voltage R I of the torque error.
     """
-    first = prepared[0]
+    found = _fit(prepared[0], *_errors(prepared, values, alpha))
+    if not validate:
+        return found
+    held = _fit(prepared[0], *_errors(validate, values, alpha))
+    return replace(found, validate_rms=held.train_rms, validate_relative=held.train_relative)
+
+
+def _fit(first: Prepared, rms: float, relative: float) -> Fit:
+    """Return an rms torque error and its ratio to the torque, in the unit of the recordings."""
     volts = volts_per_torque(first.recording)
-    rms, relative = _errors(prepared, values, alpha)
-    held: tuple[float | None, float | None] = (
-        _errors(validate, values, alpha) if validate else (None, None)
-    )
-    scale = 1.0 if volts is None else volts
     return Fit(
         unit=torque_unit(first.recording) if volts is None else "V",
         bandwidth_Hz=first.bandwidth_Hz,
-        train_rms=scale * rms,
+        train_rms=(1.0 if volts is None else volts) * rms,
         train_relative=relative,
-        validate_rms=None if held[0] is None else scale * held[0],
-        validate_relative=held[1],
+        validate_rms=None,
+        validate_relative=None,
     )
 
 
@@ -130,17 +133,7 @@ def _unrepeated(pairs: Sequence[tuple[Recording, Predicted]]) -> float:
 def _printed(parts: Sequence[Predicted], first: Prepared) -> Fit | None:
     """Return the error of some recordings, or None without a sample."""
     error = rms(parts)
-    if error is None:
-        return None
-    volts = volts_per_torque(first.recording)
-    return Fit(
-        unit=torque_unit(first.recording) if volts is None else "V",
-        bandwidth_Hz=first.bandwidth_Hz,
-        train_rms=(1.0 if volts is None else volts) * error,
-        train_relative=relative(parts) or 0.0,
-        validate_rms=None,
-        validate_relative=None,
-    )
+    return None if error is None else _fit(first, error, relative(parts) or 0.0)
 
 
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
