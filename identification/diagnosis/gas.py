@@ -29,7 +29,7 @@ from identification.diagnosis.rows import Coordinate, Equation
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Options, Progress, search
 from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
-from identification.diagnosis.statement import statement
+from identification.diagnosis.statement import NONE_ASIDE, statement
 from identification.diagnosis.unexplained import unexplained
 from identification.diagnosis.within_limits import fitted_part
 from identification.effects import GAS
@@ -599,12 +599,7 @@ def _constants(joint: Joint) -> dict[str, float]:
 
 
 def _warnings(baseline: Joint, aside: Sequence[Burn], main: Fit) -> list[str]:
-    warnings = []
-    if not aside:
-        warnings.append(
-            "no recording is set aside (role: validate), so all errors are errors on the fitted "
-            "recordings"
-        )
+    warnings = [] if aside else [NONE_ASIDE]
     unseen = main.validate_final_rms
     if unseen is not None and unseen > VALIDATION_RATIO * main.noise_floor_rms:
         warnings.append(
