@@ -20,7 +20,7 @@ from identification.model.parameters import UNITS_ROTARY
 from identification.numerics.arrays import Array
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
-from identification.views.nominal import Nominal, winding_voltage
+from identification.views.nominal import Nominal, has_winding_voltage, winding_voltage
 from identification.views.predicted import (
     Predicted,
     predicted,
@@ -250,8 +250,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
         found.append(
             Predicted("transmission", name, recording.role, view.kept_times, lag - zero, twist)
         )
-    known = recording.bench.resistance is not None and recording.bench.back_emf_constant is not None
-    if view.voltage is not None and view.current is not None and known:
+    if has_winding_voltage(view):
         found.append(predicted_voltage(view, model.voltage(view)))
     if len(view.breakaways):
         found.append(predicted_breakaways(view, model.breakaway(view)))
