@@ -24,15 +24,16 @@ import numpy as np
 
 from identification.diagnosis.comparison import implausible, preference, probability
 from identification.diagnosis.crossing import distinguished_by_crossings
-from identification.diagnosis.joint import Added, Joint, contribution, with_noise
+from identification.diagnosis.joint import Added, Joint, with_noise
 from identification.diagnosis.judgement import little_unseen
-from identification.diagnosis.linear import effect_derivatives
+from identification.diagnosis.linear import contribution, effect_derivatives
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows import Equation, equations
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.significance import trial_candidates
 from identification.diagnosis.stack import Stack, stack_of
+from identification.diagnosis.within_limits import without_nuisances
 from identification.effects.effect import Context, Effect
 from identification.effects.model import CorrectedModel
 from identification.numerics.arrays import Array
@@ -356,7 +357,7 @@ def _evidence(stack: Stack, joint: Joint, terms: Sequence[Effect]) -> Evidence:
     columns = [_first_column(stack, term, context) for term in terms]
     shown = np.stack(columns, axis=1) if columns else np.zeros((len(stack.residual), 0))
     left, slopes = _linearised(stack, joint)
-    shown = _without_nuisances(stack, joint, shown)
+    shown = without_nuisances(stack, shown)
     products = np.concatenate([np.sum(shown**2, axis=0)[:, None], shown.T @ slopes], axis=1)
     return Evidence(float(left @ left), slopes.T @ left, slopes.T @ slopes, products)
 
@@ -365,7 +366,7 @@ def _linearised(stack: Stack, joint: Joint) -> tuple[Array, Array]:
     """Return the whitened residual of a model at its values, shape (n,), and the derivatives with
     respect to nominal constants, coefficients and nonlinear parameters, shape (n, p).
     """
-    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    left = stack.measured
     count = len(joint.nominal.free)
     slopes = np.zeros((len(left), count))
     for equation in stack.equations:
@@ -381,21 +382,7 @@ def _linearised(stack: Stack, joint: Joint) -> tuple[Array, Array]:
             fitted = len(effect.coefficients) if effect.term.size is None else 0
             columns.append(np.zeros((len(left), fitted + len(effect.term.refine))))
     slopes = np.concatenate(columns, axis=1)
-    return (
-        _without_nuisances(stack, joint, left[:, None])[:, 0],
-        _without_nuisances(stack, joint, slopes),
-    )
-
-
-def _without_nuisances(stack: Stack, joint: Joint, columns: Array) -> Array:
-    """Project out the constants of these recordings alone, such as the zero of an encoder."""
-    out = columns.copy()
-    for equation, basis in zip(stack.equations, stack.basis, strict=True):
-        part = stack.part(equation.name)
-        if equation.name == "torque":
-            basis, _ = np.linalg.qr(equation.tangent[:, len(joint.nominal.free) :])
-        out[part] -= basis @ (basis.T @ out[part])
-    return out
+    return without_nuisances(stack, left[:, None])[:, 0], without_nuisances(stack, slopes)
 
 
 class Band(NamedTuple):

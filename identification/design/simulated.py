@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.covariance import (
-    covariances,
-    rise_to_static,
-)
+from identification.estimate.covariance import covariances, rise_to_static
 from identification.estimate.inertia import Replicate, inflation_by
+from identification.estimate.searches import MOST_WHITENESS
 from identification.filter.likelihood import (
     HUBER_THRESHOLD,
     Point,
@@ -27,7 +25,6 @@ from identification.model.parameters import INDEX, LOAD_PARAMETERS, SYSTEM_PARAM
 from identification.numerics.arrays import Array
 from identification.numerics.spread import Spread
 from identification.recording import Bench, Model, Recording
-from identification.result import DEFAULT
 from identification.simulation.drive_loop import Loop, Response, respond, usual_loop
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
@@ -171,16 +168,13 @@ def at_the_truth(
     free = [INDEX[n] for n in names]
     vector = pack(nominal.values, nominal.alpha)
     begun = Point.of(known, vector, free, Model(), Noise(torque_noise(known)))
-    point = optimise_breakaway_times(begun, HUBER_THRESHOLD)
+    point = optimise_breakaway_times(begun)
     point = replace(point, noise=likeliest_noise(point))
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
+    _, _, residual, jacobian = point.linearised()
     inside = residual[: len(residual) - point.breakaways]
-    white = DEFAULT.acceptance.whiteness
-    if abs(float(np.mean(inside[1:] * inside[:-1]))) > white * float(np.mean(inside**2)):
+    neighbours = abs(float(np.mean(inside[1:] * inside[:-1])))
+    if neighbours > MOST_WHITENESS * float(np.mean(inside**2)):
         return None
-    jacobian = held.jacobian(x, residual)
     inflation = inflation_by(point.experiment, jacobian.without(free.index(INDEX["J"])))
     return Replicate(replace(point, inflation=inflation), jacobian, residual, noise)
 

@@ -92,19 +92,14 @@ def preference(chosen: Joint, rival: Joint, spread: float | None = None) -> floa
     return min(plain, corrected, key=abs)
 
 
-def advantage(chosen: Joint, rival: Joint) -> float:
+def advantage(chosen: Joint, rival: Joint, corrected: bool = False) -> float:
     """Return by how much ``chosen`` is better than ``rival``, in standard errors of the difference
-    by blocks, without a correction for the number of parameters (Vuong, Econometrica 57 (1989)
-    307).
+    by blocks, without or with Schwarz's correction for the number of parameters (Vuong,
+    Econometrica 57 (1989) 307).
     """
     loss, spread = _loss(chosen, rival)
+    loss = loss + _penalty(chosen, rival) if corrected else loss
     return loss / spread if spread > 0.0 else 0.0
-
-
-def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
-    """Return :func:`advantage` with Schwarz's correction, log n squares a further parameter."""
-    loss, spread = _loss(chosen, rival)
-    return (loss + _penalty(chosen, rival)) / spread if spread > 0.0 else 0.0
 
 
 def _penalty(chosen: Joint, rival: Joint) -> float:
@@ -222,7 +217,7 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     near = [
         k
         for k, joint in enumerate(joints)
-        if joint is best or _corrected_advantage(best, joint) < RULES.simpler
+        if joint is best or advantage(best, joint, corrected=True) < RULES.simpler
     ]
     return min(near, key=lambda k: (sizes[k], k))
 

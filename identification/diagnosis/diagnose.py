@@ -113,25 +113,25 @@ def diagnose(
     terms, why = _effects_to_search(dataset, here, effects)
     if inspect is not None:
         inspect(first)
-    task = _Task(dataset, first, bandwidth, rng, report)
+    task = _Task(everything, dataset, first, bandwidth, estimate, rng, report)
     here, aside, found, judged = _searches(task, terms)
     if searched is not None:
         searched(found)
     report("identifying the nominal parameters", 0.96)
-    nominal, more = _nominal_constants(everything, found, estimate)
-    whole = _Whole(everything, found, nominal, bandwidth, estimate is not None, rng)
+    nominal, more = _nominal_constants(task, found)
     identified = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
-    shown = _shown(whole, judged, identified)
+    shown = _shown(task, found, nominal, judged, identified)
     left = floors_left(_with_own_starts(shown.main, found, aside))
     if (doubt := _doubt(shown, judged, left)) is not None:
         where = judged.where or place_of(found, judged.maps)
         names = tuple(e.name for e in identified)
         why_not = Reason(doubt, found, names, left=left)
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
-        shown = _shown(whole, judged, ())
+        shown = _shown(task, found, nominal, judged, ())
     verdict, where, drawn, reason = judged
     unseen = collinear_effects(found.baseline, terms)
-    findings = _findings(found, judged, shown.traces, (*here, *aside), rng)
+    every = (*here, *aside)
+    crowds = () if verdict is Verdict.NOTHING_MISSING else crowded_recordings(shown.traces)
     return Diagnosis(
         verdict=verdict,
         statement=statement(
@@ -157,7 +157,11 @@ def diagnose(
             *why,
             *more,
             *shown.constants.warnings,
-            *findings,
+            *dropped_effects(found),
+            *rests_under_torque(every, found.baseline.unit),
+            *crowds,
+            *_still_valve(found, every),
+            *unexplained(found, verdict, reason, rng),
         ),
         seconds=perf_counter() - clock,
         alpha=shown.after.model.alpha,
@@ -167,19 +171,6 @@ def diagnose(
         ranges=spanned([[*map(v.low_pass, (v.angle, v.velocity, v.moment))] for v in here]),
         model=shown.after.model,
     )
-
-
-class _Whole(NamedTuple):
-    """What the reported errors are computed from: all recordings, search, constants of the nominal
-    model, bandwidth, whether constants are refined, and random generator.
-    """
-
-    dataset: Dataset
-    found: Search
-    nominal: Constants
-    bandwidth: float
-    refine: bool
-    rng: np.random.Generator
 
 
 class _Shown(NamedTuple):
@@ -194,28 +185,32 @@ class _Shown(NamedTuple):
     traces: tuple[ResidualTrace, ...]
 
 
-def _nominal_constants(
-    dataset: Dataset, found: Search, estimate: Estimate | None
-) -> tuple[Constants, tuple[str, ...]]:
+def _nominal_constants(task: _Task, found: Search) -> tuple[Constants, tuple[str, ...]]:
     """Return the constants of the nominal model, which are those of ``rig identify``, and warnings;
     without an estimator, or if it fails, those of the fit of the rows.
     """
     rows = constants_of(found.baseline)
-    if estimate is None:
+    if task.estimate is None:
         return rows, ()
     try:
-        identified = identified_constants(estimate(dataset))
+        identified = identified_constants(task.estimate(task.everything))
     except RecordingError as error:
         return rows, (f"not identified: {error}",)
     return identified, tuple(f"identification: {w}" for w in identified.warnings)
 
 
-def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...]) -> _Shown:
+def _shown(
+    task: _Task,
+    found: Search,
+    nominal: Constants,
+    judged: Judged,
+    effects: tuple[IdentifiedEffect, ...],
+) -> _Shown:
     """Return the reported model: with the effects, or with the curve of a mismatch outside the
     catalogue, or the nominal model; its errors are computed last.
     """
-    dataset, found, bandwidth = whole.dataset, whole.found, whole.bandwidth
-    nominal = whole.nominal._replace(warnings=())
+    dataset, bandwidth = task.everything, task.bandwidth
+    nominal = nominal._replace(warnings=())
     alpha, beside = dataset.model.alpha, unreported_constants(found.baseline)
     before, within = (
         scores(dataset, CorrectedModel({**values, **beside}, alpha), bandwidth)
@@ -224,7 +219,7 @@ def _shown(whole: _Whole, judged: Judged, effects: tuple[IdentifiedEffect, ...])
     after, constants = before, nominal
     if effects:
         after, constants = reported(
-            dataset, found.final, effects, bandwidth, nominal, whole.refine, whole.rng
+            dataset, found.final, effects, bandwidth, nominal, task.estimate is not None, task.rng
         )
     elif judged.verdict is Verdict.OUTSIDE_CATALOGUE:
         drawn_curve = curve_of(dataset, before, judged.maps, bandwidth)
@@ -284,11 +279,15 @@ def _doubt(shown: _Shown, judged: Judged, left: float) -> Kind | None:
 
 
 class _Task(NamedTuple):
-    """Inputs of every search of one diagnosis; ``first`` is the fit of the nominal model."""
+    """Inputs of one diagnosis: all recordings, the dataset that is searched, the fit of the nominal
+    model, bandwidth, estimator of ``rig identify`` or None, random generator, and progress.
+    """
 
+    everything: Dataset
     dataset: Dataset
     first: Joint
     bandwidth: float
+    estimate: Estimate | None
     rng: np.random.Generator
     report: Progress
 
@@ -381,25 +380,6 @@ def observable_effects(
     dataset, bandwidth, _ = choose(dataset, bandwidth_Hz)
     here, nominal = views_and_fit(dataset, bandwidth)
     return observable(nominal, _effects_to_search(dataset, here, effects)[0])
-
-
-def _findings(
-    found: Search,
-    judged: Judged,
-    traces: Sequence[ResidualTrace],
-    every: Sequence[View],
-    rng: np.random.Generator,
-) -> tuple[str, ...]:
-    """Return texts on effects, recordings and mismatch that the result needs."""
-    verdict = judged.verdict
-    crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
-    return (
-        *dropped_effects(found),
-        *rests_under_torque(every, found.baseline.unit),
-        *crowds,
-        *_still_valve(found, every),
-        *unexplained(found, verdict, judged.reason, rng),
-    )
 
 
 def _still_valve(found: Search, every: Sequence[View]) -> tuple[str, ...]:

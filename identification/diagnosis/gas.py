@@ -20,7 +20,7 @@ import numpy as np
 
 from identification.diagnosis.comparison import implausible
 from identification.diagnosis.diagnose import IDENTIFIED, judge
-from identification.diagnosis.held_out import dropped_effects, validation_residual, validation_rms
+from identification.diagnosis.held_out import dropped_effects, rms_by_equation, validation_residual
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import effects_of
 from identification.diagnosis.linear import Added, effect_derivatives
@@ -29,7 +29,7 @@ from identification.diagnosis.rows import Coordinate, Equation
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Options, Progress, search
 from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
-from identification.diagnosis.statement import statement
+from identification.diagnosis.statement import NONE_ASIDE, statement
 from identification.diagnosis.unexplained import unexplained
 from identification.diagnosis.within_limits import fitted_part
 from identification.effects import GAS
@@ -46,6 +46,7 @@ from identification.model.gas_generator import (
 )
 from identification.numerics.least_squares import minimise
 from identification.recording import Array, Dataset, Recording, RecordingError
+from identification.signals import Decimator
 from identification.views.nominal import Nominal
 from identification.views.view import View, forget
 
@@ -118,12 +119,6 @@ VALIDATION_RATIO = 1.5
 DEVIATION_LIMIT = 3.0  # deviation of a constant, in tolerances, from which it is reported
 
 
-class _NoFilter:
-    """The filter of rows that are means already."""
-
-    factor = 1
-
-
 @dataclass(frozen=True, eq=False)
 class Burn:
     """One recording of a burning gas generator as rows; throat and pressure are means over the same
@@ -140,7 +135,7 @@ class Burn:
     # Pressure, Pa, web burnt, m, and rate of pressure, Pa/s, by the last fit of the nominal model,
     # shape (3, n).
     simulated: Array = field(default_factory=lambda: np.zeros((3, 0)))
-    low_pass: ClassVar[type[_NoFilter]] = _NoFilter
+    low_pass: ClassVar[Decimator] = Decimator(np.ones(1), 1)  # the rows are means already
 
     @property
     def step(self) -> float:
@@ -560,21 +555,28 @@ def diagnose_gas(
     effects = effects_of(found, rng) if verdict in IDENTIFIED else ()
     scored = cast(GasFit, found.final if effects else found.baseline)
     bandwidth = 0.5 / min(b.step for b in here)
-    main, fits = _fits_of(found.baseline, scored, aside, bandwidth, drawn)
-    traces = _traces_of(found.baseline.stack, found.baseline.residual, scored.residual)
-    before, after = (
-        validation_residual(j, aside) if aside else None for j in (found.baseline, scored)
+    equation, both = found.baseline.equations[0], (found.baseline, scored)
+    rms, corrected = (
+        equation.sigma * math.sqrt(float(np.mean(j.residual[equation.owner >= 0] ** 2)))
+        for j in both
     )
-    if before is not None and after is not None:
-        traces += _traces_of(before[0], before[1], after[1])
+    traces = _traces_of(equation, *(j.residual for j in both))
+    unseen = [seen for j in both if aside and (seen := validation_residual(j, aside)) is not None]
+    held = [rms_by_equation(*seen)[equation.name] for seen in unseen]
+    if unseen:
+        (stack, before), (_, after) = unseen
+        traces += _traces_of(stack.equations[0], before, after)
+    main = Fit(equation.name, equation.unit, bandwidth, rms, corrected, equation.sigma, *held)
+    units = {name: c.unit for name, c in {**CONSTANTS, "V_0": VOLUME}.items()}
+    stated, fitted = (_constants(j) for j in both)
     return Diagnosis(
         verdict=verdict,
         statement=statement(verdict, effects, main, where, found.p_value, (), reason),
         effects=effects,
         fit=main,
-        fits=fits,
-        parameters=_constants(scored),
-        parameter_shift=_shifts(found.baseline, scored),
+        fits=(main,),
+        parameters=fitted,
+        parameter_shift={n: Shift(v, fitted[n], units[n]) for n, v in stated.items()},
         p_value=found.p_value,
         location=where,
         curve=_curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
@@ -596,20 +598,8 @@ def _constants(joint: Joint) -> dict[str, float]:
     return {**nominal.values, "V_0": float(np.mean([s.volume for s in nominal.starts]))}
 
 
-def _shifts(baseline: Joint, scored: Joint) -> dict[str, Shift]:
-    """Return the value of each constant in the nominal model and in the corrected model."""
-    units = {name: c.unit for name, c in {**CONSTANTS, "V_0": VOLUME}.items()}
-    after = _constants(scored)
-    return {n: Shift(v, after[n], units[n]) for n, v in _constants(baseline).items()}
-
-
 def _warnings(baseline: Joint, aside: Sequence[Burn], main: Fit) -> list[str]:
-    warnings = []
-    if not aside:
-        warnings.append(
-            "no recording is set aside (role: validate), so all errors are errors on the fitted "
-            "recordings"
-        )
+    warnings = [] if aside else [NONE_ASIDE]
     unseen = main.validate_final_rms
     if unseen is not None and unseen > VALIDATION_RATIO * main.noise_floor_rms:
         warnings.append(
@@ -638,54 +628,22 @@ def _warnings(baseline: Joint, aside: Sequence[Burn], main: Fit) -> list[str]:
     return warnings
 
 
-def _fits_of(
-    baseline: Joint, final: Joint, aside: Sequence[View], bandwidth: float, drawn: Sequence[Map]
-) -> tuple[Fit, tuple[Fit, ...]]:
-    """Return the errors of the equation in which the mismatch is judged, and of all equations."""
-    held_before, held_after = validation_rms(baseline, aside), validation_rms(final, aside)
-    out = []
-    for equation in baseline.equations:
-        rows = baseline.stack.part(equation.name)
-        rms = [
-            equation.sigma * math.sqrt(float(np.mean(j.residual[rows][equation.owner >= 0] ** 2)))
-            for j in (baseline, final)
-        ]
-        out.append(
-            Fit(
-                equation=equation.name,
-                unit=equation.unit,
-                bandwidth_Hz=bandwidth,
-                baseline_rms=rms[0],
-                final_rms=rms[1],
-                noise_floor_rms=equation.sigma,
-                validate_baseline_rms=held_before.get(equation.name),
-                validate_final_rms=held_after.get(equation.name),
-            )
+def _traces_of(equation: Equation, before: Array, after: Array) -> tuple[ResidualTrace, ...]:
+    """Return whitened rows by two models as the mismatch of every recording."""
+    return tuple(
+        ResidualTrace(
+            view.recording.name,
+            view.recording.role,
+            equation.name,
+            equation.unit,
+            equation.time[mine],
+            equation.sigma * before[mine],
+            equation.sigma * after[mine],
         )
-    return next((f for f in out if drawn and f.equation == drawn[0].equation), out[0]), tuple(out)
-
-
-def _traces_of(stack: Stack, first: Array, last: Array) -> tuple[ResidualTrace, ...]:
-    """Return whitened rows by two models as the mismatch of every recording and equation."""
-    out = []
-    for equation in stack.equations:
-        rows = stack.part(equation.name)
-        before, after = (equation.sigma * left[rows] for left in (first, last))
-        for view in equation.views:
-            mine = equation.owner == view.index
-            if np.any(mine):
-                out.append(
-                    ResidualTrace(
-                        view.recording.name,
-                        view.recording.role,
-                        equation.name,
-                        equation.unit,
-                        equation.time[mine],
-                        before[mine],
-                        after[mine],
-                    )
-                )
-    return tuple(out)
+        for view in equation.views
+        for mine in [equation.owner == view.index]
+        if np.any(mine)
+    )
 
 
 def _curve(drawn: Sequence[Map]) -> Curve | None:
@@ -696,17 +654,9 @@ def _curve(drawn: Sequence[Map]) -> Curve | None:
     The mean of the location's map may explain little, if the nominal parameters compensate a part
     of the missing torque, or if this torque is proportional to the load.
     """
-    if not drawn:
+    best = max(drawn, key=lambda m: m.mean_share, default=None)
+    if best is None:
         return None
-    found = max(drawn, key=lambda m: m.mean_share)
-    if drawn[0].mean_share >= RULES.own_coordinate * found.mean_share:
-        found = drawn[0]
-    return Curve(
-        found.equation,
-        found.coordinate,
-        found.unit,
-        found.residual_unit,
-        found.centre,
-        found.mean,
-        found.against_motion,
-    )
+    if drawn[0].mean_share >= RULES.own_coordinate * best.mean_share:
+        best = drawn[0]
+    return best.curve(best.centre, best.mean)

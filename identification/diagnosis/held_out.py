@@ -64,7 +64,7 @@ def validation_residual(
     stack = joint.unseen(aside)
     if stack is None:
         return None
-    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    left = stack.measured
     for effect in joint.effects:
         # An effect that occurs in one recording only, such as a mislabelled weight, does not occur
         # in recordings set aside.
@@ -105,9 +105,11 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
 def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
     """Return each equation's rms error on recordings set aside (:func:`validation_residual`)."""
     found = validation_residual(joint, aside) if aside else None
-    if found is None:
-        return {}
-    stack, left = found
+    return {} if found is None else rms_by_equation(*found)
+
+
+def rms_by_equation(stack: Stack, left: Array) -> dict[str, float]:
+    """Return the rms of whitened rows in each equation, in its unit, without rows of priors."""
     return {
         e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)][e.owner >= 0] ** 2)))
         for e in stack.equations

@@ -13,6 +13,7 @@ from scipy import stats
 from identification.diagnosis.linear import (
     DERIVATIVE_STEP,
     Solution,
+    contribution,
     effect_columns,
     effect_derivatives,
     moved_parameters,
@@ -25,7 +26,11 @@ from identification.diagnosis.result import Estimate
 from identification.diagnosis.rows import Equation, equations, held_voltage, least_noise, own_noise
 from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
-from identification.numerics.least_squares import least_squares
+from identification.numerics.least_squares import (
+    least_squares,
+    scaled_least_squares,
+    unit_columns,
+)
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array, RecordingError
 from identification.result import MOST_FLOORS, WIDEST
@@ -273,12 +278,11 @@ def _single_effect(stack: Stack, effects: Sequence[Added], k: int) -> _SingleEff
     # Rows to which neither this effect nor connected effects contribute have a constant cost.
     stack = stack.only(connected(effects[k].term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
-    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
     others, known = effect_columns(
         stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()]
     )
     effect_basis, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
-    left = stack.projected((target - known)[:, None])[:, 0]
+    left = stack.projected((stack.measured - known)[:, None])[:, 0]
     return _SingleEffect(stack, effect_basis, left - effect_basis @ (effect_basis.T @ left))
 
 
@@ -319,9 +323,7 @@ def _gauss_newton(stack: Stack, effects: Sequence[Added], k: int) -> Added:
         ]
         slopes = np.stack([(m - columns) @ coefficients / DERIVATIVE_STEP for m in moved], axis=1)
         every = np.concatenate([columns, slopes], axis=1)
-        scale = np.linalg.norm(every, axis=0)
-        scale[scale == 0.0] = 1.0
-        step = (least_squares(every / scale, rest) / scale)[columns.shape[1] :]
+        step = scaled_least_squares(every, rest)[columns.shape[1] :]
         shape = _decreasing_step(
             others, effect, np.clip(step, -LARGEST_STEP, LARGEST_STEP), float(rest @ rest)
         )
@@ -370,12 +372,6 @@ SET_BY_EFFECTS = ("fitted_alpha", "presliding_stiffness", "late_s")
 """Nominal values that an effect sets at the start of a fit (`Effect.begin`)."""
 
 
-def contribution(stack: Stack, effect: Added) -> Array:
-    """Return the whitened contribution of an effect, shape (n,)."""
-    columns = stack.whitened(stack.columns(effect.term, effect.shape))
-    return np.asarray(columns @ np.array(effect.coefficients))
-
-
 def without_effect(joint: Joint, k: int) -> Stack:
     """Return the stack of a fit in which effect ``k`` is missing: its residual contains this
     effect; the nominal tangent and the other effects are projected out.
@@ -388,7 +384,7 @@ def without_effect(joint: Joint, k: int) -> Stack:
     nominal = nominal_after_effects(left_out, others)
     rows = joint.rows_at(nominal)
     bare = stack_of(rows, nominal, joint.stack)
-    left = np.concatenate([e.residual / e.sigma for e in rows])
+    left = bare.measured
     for effect in others:
         left = left - contribution(bare, effect)
     bare = replace(bare, residual=bare.projected(left[:, None])[:, 0])
@@ -414,9 +410,7 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
     context = Context(joint.views, joint.nominal)
     stack = stack_of(joint.equations, joint.nominal, joint.stack)
     columns = stack.projected(effect_derivatives(stack, joint.effects))
-    scale = np.linalg.norm(columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = columns / scale
+    scaled, scale = unit_columns(columns)
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     sums = stack.sums(scaled * joint.residual[:, None])
     covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
@@ -492,21 +486,15 @@ def identifiable(joint: Joint, name: str) -> bool:
     torque = next(e for e in joint.equations if e.name == "torque")
     if name not in nominal.free:
         return True
-    scale = np.linalg.norm(torque.tangent, axis=0)
-    if not scale[nominal.free.index(name)] > 0.0:
+    place = nominal.free.index(name)
+    if not np.linalg.norm(torque.tangent[:, place]) > 0.0:
         return False
-    scaled = torque.tangent / np.where(scale > 0.0, scale, 1.0)
-    spread = np.sqrt(
-        np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0)
-    )
-    spread /= np.where(scale > 0.0, scale, 1.0)
+    scaled, scale = unit_columns(torque.tangent)
+    variances = np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True))
+    spread = np.sqrt(np.maximum(variances, 0.0)) / scale
     rows = joint.residual[joint.stack.part("torque")]
     noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
-    half = (
-        float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
-        * noise
-        * float(spread[nominal.free.index(name)])
-    )
+    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * noise * float(spread[place])
     if name in ("omega_sf", "omega_sL"):
         return half < WIDEST
     base = {"Ms": "Mc", "mu_s": "mu_c"}.get(name)

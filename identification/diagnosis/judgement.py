@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.comparison import Contender, Round, probability
-from identification.diagnosis.joint import Joint, contribution, estimates, without_effect
+from identification.diagnosis.joint import Joint, estimates, without_effect
+from identification.diagnosis.linear import contribution
 from identification.diagnosis.locate import best_map, location, maps
 from identification.diagnosis.reasons import Excess, Kind, Reason, excess_of, reason_outside
 from identification.diagnosis.removal import judging_equations
@@ -29,7 +30,7 @@ from identification.diagnosis.stack import Stack
 from identification.diagnosis.statement import finding
 from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
-from identification.recording import Array, Bench
+from identification.recording import Array
 from identification.views.view import one_clock
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
@@ -202,11 +203,6 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffec
     )
 
 
-def own_bench(found: Search) -> Bench:
-    """Return the bench of the recordings."""
-    return found.baseline.views[0].recording.bench
-
-
 def _effect(
     found: Search,
     k: int,
@@ -216,7 +212,8 @@ def _effect(
     rng: np.random.Generator,
 ) -> IdentifiedEffect:
     entry = found.final.effects[k].term
-    motion, amperes = own_bench(found).motion, found.baseline.equations[0].unit == "A"
+    motion = found.baseline.views[0].recording.bench.motion
+    amperes = found.baseline.unit == "A"
     units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
     stack = found.baseline.stack

@@ -11,7 +11,7 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.stack import Stack, view_regressors
 from identification.effects.effect import Context, Effect, Shape
 from identification.model.parameters import STRIBECK_TERMS
-from identification.numerics.least_squares import least_squares
+from identification.numerics.least_squares import scaled_least_squares
 from identification.recording import Array
 from identification.views.nominal import SPEEDS
 
@@ -62,6 +62,12 @@ def effect_columns(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array
     return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
 
 
+def contribution(stack: Stack, effect: Added) -> Array:
+    """Return the whitened contribution of an effect, shape (n,)."""
+    columns = stack.whitened(stack.columns(effect.term, effect.shape))
+    return np.asarray(columns @ np.array(effect.coefficients))
+
+
 def effect_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
     """Return whitened derivatives by every coefficient and nonlinear parameter, shape (n, g)."""
     parts = [np.zeros((len(stack.residual), 0))]
@@ -104,7 +110,7 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
     that determine a size; static levels stay within their limits.
     """
     stack = stack.without(held) if held else stack
-    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    target = stack.measured
     free, known = effect_columns(stack, effects)
     unbent = stack.without(SPEEDS)
     linear_step, rest = _projected_least_squares(unbent, target - known, free)
@@ -168,12 +174,8 @@ def _step_with_following(
             change = rows - stack.columns(e.term, e.shape)["torque"]
             columns[0][:, use.index(k)] += change @ np.array(e.coefficients) / length
     columns += [stack.columns(e.term, e.shape)["torque"] for e in following]
-    every = np.concatenate(columns, axis=1)
-    norm = np.linalg.norm(every, axis=0)
-    norm[norm == 0.0] = 1.0
-    found = (
-        least_squares(every / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8) / norm
-    )
+    target = whitened[stack.part("torque")] * equation.sigma
+    found = scaled_least_squares(np.concatenate(columns, axis=1), target, 1e-8)
     step[use] = found[: len(use)]
     return step
 
@@ -194,9 +196,7 @@ def _projected_least_squares(stack: Stack, target: Array, free: Array) -> tuple[
     """Return coefficients of projected columns, and the residual."""
     left = stack.projected(target[:, None])[:, 0]
     columns = stack.projected(free)
-    scale = np.linalg.norm(columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    found = least_squares(columns / scale, left) / scale
+    found = scaled_least_squares(columns, left)
     return found, left - columns @ found
 
 
@@ -207,13 +207,9 @@ def _nominal_step(stack: Stack, whitened: Array, without: Collection[str]) -> Ar
     for equation in stack.equations:
         if equation.name == "torque":
             use = [k for k, name in enumerate(equation.names) if name not in without]
-            tangent = equation.tangent[:, use]
-            norm = np.linalg.norm(tangent, axis=0)
-            norm[norm == 0.0] = 1.0
-            found = least_squares(
-                tangent / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8
-            )
-            for k, change in zip(use, found / norm, strict=True):
+            target = whitened[stack.part("torque")] * equation.sigma
+            found = scaled_least_squares(equation.tangent[:, use], target, 1e-8)
+            for k, change in zip(use, found, strict=True):
                 if k < len(free):
                     step[k] = change
     return step

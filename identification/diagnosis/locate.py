@@ -122,15 +122,6 @@ TURN_BINS, TURN_ROWS = 64, 1000
 DRAWS = 499
 
 
-@dataclass(frozen=True)
-class Axis:
-    """A coordinate with its values at the rows of an equation."""
-
-    name: str
-    unit: str
-    values: Array
-
-
 def maps(
     stack: Stack,
     equation: Equation,
@@ -178,18 +169,14 @@ def maps(
         )
         sign = sense if sided > share else np.ones(len(sense))
         bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
-        axis, mismatches = Axis(coordinate.name, unit, values[known]), (sign * before, sign * after)
-        first, last = (m[known] for m in mismatches)
-        made = map_over(equation, axis, first, last, block[known], stack.blocks, rng, bins)
+        x, first, last = (series[known] for series in (values, sign * before, sign * after))
+        made = map_over(
+            coordinate.name, unit, equation, x, first, last, block[known], stack.blocks, rng, bins
+        )
         if made is not None:
-            found.append(
-                replace(
-                    made,
-                    share=max(share, sided),
-                    against_motion=sided > share,
-                    periodic=coordinate.periodic,
-                )
-            )
+            most, against = max(share, sided), sided > share
+            made = replace(made, share=most, against_motion=against, periodic=coordinate.periodic)
+            found.append(made)
     return tuple(sorted(found, key=lambda m: (-m.share, -m.mean_share)))
 
 
@@ -244,17 +231,18 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def map_over(
+    coordinate: str,
+    unit: str,
     equation: Equation,
-    axis: Axis,
+    values: Array,
     before: Array,
     after: Array,
     block: np.ndarray,
     blocks: int,
     rng: np.random.Generator,
-    bins: int = BINS,
+    bins: int,
 ) -> Map | None:
     """Return the mismatch over one coordinate with simultaneous bands, or None if too coarse."""
-    values = axis.values
     grid = edges(values, bins)
     if len(grid) < 3:
         levels = np.unique(values)
@@ -279,8 +267,8 @@ def map_over(
     share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
     return Map(
         equation=equation.name,
-        coordinate=axis.name,
-        unit=axis.unit,
+        coordinate=coordinate,
+        unit=unit,
         residual_unit=equation.unit,
         centre=centre,
         mean=mean,

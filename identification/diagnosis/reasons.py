@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from identification.diagnosis.joint import Joint
+from identification.diagnosis.linear import contribution
 from identification.diagnosis.result import Fit
-from identification.diagnosis.rows import AT_INSTANTS, families
+from identification.diagnosis.rows import AT_INSTANTS, Equation, families
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.significance import greatest_mean_square, level
 from identification.diagnosis.within_limits import infeasible
-from identification.recording import Array
 
 # Tests whether the remaining torque mismatch is hysteretic, in which case the identified effect is
 # wrong.
@@ -35,11 +34,10 @@ def is_hysteretic(joint: Joint) -> bool:
     In contrast, unmodelled friction at the lowest speeds of real machines depends most on torque,
     speed or rest time.
     """
-    rows = joint.residual[joint.stack.part("torque")]
-    torque = next((e for e in joint.equations if e.name == "torque"), None)
-    if torque is None or float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
+    torque = _torque_beyond_noise(joint)
+    if torque is None:
         return False
-    gains = {}
+    rows, gains = joint.residual[joint.stack.part("torque")], {}
     for name, columns in families(torque):
         scored = joint.stack.independent(name, "torque", columns)
         gains[name] = 0.0 if scored is None else scored.gain
@@ -47,6 +45,15 @@ def is_hysteretic(joint: Joint) -> bool:
     return most in SINCE_REVERSAL and gains[most] >= RULES.hysteretic_share * (
         float(rows @ rows) - len(rows)
     )
+
+
+def _torque_beyond_noise(joint: Joint) -> Equation | None:
+    """Return the torque equation if its mismatch is beyond the noise, else None."""
+    rows = joint.residual[joint.stack.part("torque")]
+    torque = next((e for e in joint.equations if e.name == "torque"), None)
+    if torque is None or float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
+        return None
+    return torque
 
 
 # Compares the mismatch of each equation by the nominal and by the corrected model, and judges
@@ -151,25 +158,15 @@ def cancelling_effects(joint: Joint) -> tuple[str, ...]:
     The nominal tangent is projected out of the contributions.
     """
     stack = replace(joint.stack, effect_basis=np.zeros((len(joint.residual), 0)))
-    made = []
-    for effect in joint.effects:
-        columns = stack.whitened(stack.columns(effect.term, effect.shape))
-        made.append(stack.projected(columns @ np.array(effect.coefficients)[:, None])[:, 0])
+    made = [stack.projected(contribution(stack, e)[:, None])[:, 0] for e in joint.effects]
     for equation in joint.equations:
         rows = joint.stack.part(equation.name)
-        pair = _cancelling_pair([m[rows] for m in made])
-        if pair:
-            return tuple(joint.effects[k].term.name for k in pair)
-    return ()
-
-
-def _cancelling_pair(made: Sequence[Array]) -> tuple[int, ...]:
-    for k, one in enumerate(made):
-        for j in range(k):
-            both = float(one @ one + made[j] @ made[j])
-            total = one + made[j]
-            if float(total @ total) < RULES.cancelled * both:
-                return j, k
+        for k, own in enumerate(made):
+            for j in range(k):
+                other, one = made[j][rows], own[rows]
+                total = one + other
+                if float(total @ total) < RULES.cancelled * float(one @ one + other @ other):
+                    return joint.effects[j].term.name, joint.effects[k].term.name
     return ()
 
 
@@ -187,11 +184,11 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
 
     The result is empty if the remaining mismatch is within the noise.
     """
+    torque = _torque_beyond_noise(joint)
+    if torque is None:
+        return ()
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
-    torque = next((e for e in joint.equations if e.name == "torque"), None)
-    if torque is None or float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
-        return ()
     ahead, found = torque.rows(lambda v: v.sense) > 0.0, []
     for effect in joint.effects:
         columns = joint.stack.columns(effect.term, effect.shape).get("torque")
@@ -243,7 +240,7 @@ def reason_outside(found: Search, searched: Search) -> Reason | None:
         searched: The search before effects were dropped. The effects before and after dropping must
             explain enough of the mismatch.
     """
-    names, before = _names(found), _names(searched)
+    names, before = (tuple(e.term.name for e in s.final.effects) for s in (found, searched))
     if not names:
         return Reason(Kind.NO_EFFECT, found)
     for kind, of in (
@@ -283,8 +280,3 @@ def floors_left(fit: Fit) -> float:
         and after**2 - floor**2 > (1.0 - RULES.nearly_complete) * (before**2 - floor**2)
     ]
     return max(ratios, default=0.0)
-
-
-def _names(found: Search) -> tuple[str, ...]:
-    """Return the names of a search's effects."""
-    return tuple(e.term.name for e in found.final.effects)

@@ -165,6 +165,11 @@ class Map:
     mean_share: float = 0.0
     periodic: bool = False
 
+    def curve(self, grid: Array, value: Array) -> Curve:
+        """Return a curve of the mismatch over this coordinate."""
+        where = self.equation, self.coordinate, self.unit, self.residual_unit
+        return Curve(*where, grid, value, self.against_motion)
+
 
 @dataclass(frozen=True)
 class Step:

@@ -21,7 +21,13 @@ from identification.numerics.compiled import compiled
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array
 from identification.signals import BoolArray, central_difference, noise, quantum, without_tones
-from identification.views.nominal import INSTANTS, Nominal, voltage_change, winding_voltage
+from identification.views.nominal import (
+    INSTANTS,
+    Nominal,
+    has_winding_voltage,
+    voltage_change,
+    winding_voltage,
+)
 from identification.views.view import View, lacks_common_origin, rise_rate, sharpness
 
 
@@ -332,7 +338,7 @@ def _transmission(views: Sequence[View]) -> Equation | None:
 
 
 def _voltage(views: Sequence[View]) -> Equation | None:
-    known = [v for v in views if _has_voltage(v)]
+    known = [v for v in views if has_winding_voltage(v)]
     if not known:
         return None
 
@@ -349,16 +355,6 @@ def _voltage(views: Sequence[View]) -> Equation | None:
     kept = [v.low_pass.untouched(np.isnan(v.voltage)) for v in known if v.voltage is not None]
     names = ("R", "Ke", *unsure)
     return _build("voltage", "V", known, kept, measured, tangent, names)
-
-
-def _has_voltage(view: View) -> bool:
-    bench = view.recording.bench
-    return (
-        view.voltage is not None
-        and view.current is not None
-        and bench.resistance is not None
-        and bench.back_emf_constant is not None
-    )
 
 
 LEAST_BLOCK_S = 1.0

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.diagnosis.joint import Joint, contribution, identifiable, noise_left
+from identification.diagnosis.joint import Joint, identifiable, noise_left
+from identification.diagnosis.linear import contribution
 from identification.diagnosis.result import Fit, IdentifiedEffect, Map, ResidualTrace, Shift
 from identification.diagnosis.rows import AT_INSTANTS, Equation
 from identification.diagnosis.rules import RULES
@@ -26,7 +27,7 @@ from identification.effects.model import (
     refit,
     views_for,
 )
-from identification.numerics.least_squares import least_squares
+from identification.numerics.least_squares import scaled_least_squares
 from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples, quantile
 from identification.recording import Array, Dataset, RecordingError
 from identification.result import Identification
@@ -111,9 +112,7 @@ def unreported_constants(joint: Joint) -> dict[str, float]:
         for effect in joint.effects:
             left = left - contribution(joint.stack, effect)[rows]
         columns = found.tangent[:, [n in own for n in found.names]]
-        scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0.0] = 1.0
-        moved = least_squares(columns / scale, left * found.sigma) / scale
+        moved = scaled_least_squares(columns, left * found.sigma)
         bench = found.views[0].recording.bench
         known = {
             "R": ("R", bench.resistance),
@@ -443,14 +442,7 @@ def curve_of(
         left[fold == k] -= np.interp(place[fold == k], *part_curve)
     if not float(left @ left) < (1.0 - RULES.least_curve_gain) * float(error @ error):
         return None
-    return Curve(
-        where.equation,
-        where.coordinate,
-        where.unit,
-        where.residual_unit,
-        *whole,
-        where.against_motion,
-    )
+    return where.curve(*whole)
 
 
 def _binned(place: Array, error: Array) -> tuple[Array, Array] | None:

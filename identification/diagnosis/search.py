@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
@@ -191,7 +191,8 @@ def search(
     Each effect is judged at the end, with all other effects in the model: two effects may together
     explain the whole mismatch although each of them alone explains little.
     """
-    return _Selection(baseline, terms, rng, progress, options).run()
+    named = {t.name: t for t in terms}
+    return _Selection(baseline, baseline, named, rng, progress, options).run()
 
 
 def missing_test(joint: Joint, left: Sequence[Effect], rng: np.random.Generator) -> _Test:
@@ -216,22 +217,18 @@ def missing_test(joint: Joint, left: Sequence[Effect], rng: np.random.Generator)
     return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
 
 
+@dataclass
 class _Selection:
     """One search: the effects to choose from, and those selected so far."""
 
-    def __init__(
-        self,
-        baseline: Joint,
-        terms: Sequence[Effect],
-        rng: np.random.Generator,
-        progress: Progress,
-        options: Options,
-    ) -> None:
-        self.baseline = self.joint = baseline
-        self.terms = {t.name: t for t in terms}
-        self.rng, self.progress, self.options = rng, progress, options
-        self.rounds: list[Round] = []
-        self.steps: list[Step] = []
+    baseline: Joint
+    joint: Joint
+    terms: Mapping[str, Effect]
+    rng: np.random.Generator
+    progress: Progress
+    options: Options
+    rounds: list[Round] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
 
     def run(self) -> Search:
         """Carry out the search."""

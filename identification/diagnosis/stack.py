@@ -138,6 +138,11 @@ class Stack:
             start += len(equation.residual)
         return slice(0, 0)
 
+    @property
+    def measured(self) -> Array:
+        """Whitened rows less the nominal model, not projected, shape (n,)."""
+        return np.concatenate([e.residual / e.sigma for e in self.equations])
+
     def only(self, names: Collection[str]) -> Stack:
         """Return the part of the stack with the rows in which regressors of the equations ``names``
         can be nonzero after projection.

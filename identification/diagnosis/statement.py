@@ -184,6 +184,12 @@ def unobservable_sentence(names: Sequence[str]) -> str:
     )
 
 
+NONE_ASIDE = (
+    "no recording is set aside (role: validate), so all errors are errors on the fitted recordings"
+)
+"""Warning on missing recordings with role ``validate``."""
+
+
 def warnings_of(
     dataset: Dataset, here: Sequence[View], unseen: Sequence[Effect]
 ) -> tuple[str, ...]:
@@ -197,10 +203,7 @@ def warnings_of(
             f"this: {' '.join(e.experiment for e in unseen)}"
         )
     if not dataset.part("validate"):
-        warnings.append(
-            "no recording is set aside (role: validate), so all errors are errors on the fitted "
-            "recordings"
-        )
+        warnings.append(NONE_ASIDE)
     for view in here:
         if not np.any(view.moving):
             warnings.append(

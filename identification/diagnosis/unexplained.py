@@ -84,58 +84,64 @@ def unexplained(
     return (*outside, *unexplained_equations(found, verdict))
 
 
+_WHY_NOT: Mapping[Kind, str] = {
+    Kind.CANCELLING: (
+        "{titles} would explain the mismatch only if they nearly cancel each other, each being at "
+        "least about twice their sum"
+    ),
+    Kind.INFEASIBLE: (
+        "{titles} would explain the mismatch only with nominal parameters outside their physical "
+        "limits"
+    ),
+    Kind.NOT_BETTER: (
+        "{titles} would explain the mismatch of the fitted rows, but the model with these effects "
+        "does not lower the error of the recordings"
+    ),
+    Kind.MISFIT: (
+        "the nominal model does not describe these recordings: its error is above the noise floor, "
+        "although no effect of the catalogue shows in it; look at the channels, their signs and "
+        "units, and for torques that are not declared (a weight, a contact, a controller's own)"
+    ),
+    Kind.MUCH_LEFT: (
+        "a part of the mismatch was found, {share:.0f} % of it beyond the noise in the fitted "
+        "recordings: {words}; but with it an error of {left:.1f} times the noise floor is left, so "
+        "that another effect is missing or this effect has another form"
+    ),
+    Kind.REVERSALS: (
+        "{share:.0f} % of the mismatch beyond the noise would be explained if {words}; but the "
+        "remaining mismatch depends on the travel or time since the last reversal, and these "
+        "effects do not"
+    ),
+    Kind.TOO_LITTLE: (
+        "effects of the catalogue explain only {share:.0f} % of the mismatch beyond the noise (a "
+        "verdict needs at least {needed:.0f} %), if {words}"
+    ),
+}
+"""Why effects do not explain a mismatch, with their titles or the words that state them."""
+_STATED = (Kind.MUCH_LEFT, Kind.REVERSALS, Kind.TOO_LITTLE)
+
+
 def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
     """Return texts that state why effects do not explain a mismatch outside the catalogue."""
     titles = [title(n) for n in reason.effects]
     if reason.kind is Kind.NO_EFFECT:
         return _last_candidate(reason.search)
+    if reason.kind is Kind.BETWEEN_SAMPLES:
+        return _between_samples(reason.search)
     if reason.kind is Kind.ONE_DIRECTION:
         return tuple(
             f"{t} would explain the mismatch only with a different size in each direction of motion"
             for t in titles
         )
-    if reason.kind is Kind.CANCELLING:
-        return (
-            f"{titles[0]} and {titles[1]} would explain the mismatch only if they nearly cancel "
-            "each other, each being at least about twice their sum",
-        )
-    if reason.kind is Kind.INFEASIBLE:
-        return (
-            f"{' and '.join(titles)} would explain the mismatch only with nominal parameters "
-            "outside their physical limits",
-        )
-    if reason.kind is Kind.BETWEEN_SAMPLES:
-        return _between_samples(reason.search)
-    if reason.kind is Kind.NOT_BETTER:
-        return (
-            f"{' and '.join(titles)} would explain the mismatch of the fitted rows, but the model "
-            "with these effects does not lower the error of the recordings",
-        )
-    if reason.kind is Kind.MISFIT:
-        return (
-            "the nominal model does not describe these recordings: its error is above the noise "
-            "floor, although no effect of the catalogue shows in it; look at the channels, their "
-            "signs and units, and for torques that are not declared (a weight, a contact, a "
-            "controller's own)",
-        )
-    share = 100.0 * judged_equation(reason.search).explained
-    words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
-    if reason.kind is Kind.MUCH_LEFT:
-        return (
-            f"a part of the mismatch was found, {share:.0f} % of it beyond the noise in the fitted "
-            f"recordings: {words}; but with it an error of {reason.left:.1f} times the noise floor "
-            "is left, so that another effect is missing or this effect has another form",
-        )
-    if reason.kind is Kind.REVERSALS:
-        return (
-            f"{share:.0f} % of the mismatch beyond the noise would be explained if {words}; but "
-            "the remaining mismatch depends on the travel or time since the last reversal, and "
-            "these effects do not",
-        )
-    return (
-        f"effects of the catalogue explain only {share:.0f} % of the mismatch beyond the noise (a "
-        f"verdict needs at least {100.0 * reason.needed:.0f} %), if {words}",
+    stated = effects_of(reason.search, rng) if reason.kind in _STATED else ()
+    text = _WHY_NOT[reason.kind].format(
+        titles=" and ".join(titles),
+        words="; and ".join(e.statement for e in stated),
+        share=100.0 * judged_equation(reason.search).explained,
+        needed=100.0 * reason.needed,
+        left=reason.left,
     )
+    return (text,)
 
 
 def _between_samples(found: Search) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from scipy.optimize import lsq_linear
 from identification.diagnosis.joint import Joint, fit, nominal_after_effects, start_fit
 from identification.diagnosis.linear import (
     Added,
+    contribution,
     effect_derivatives,
     is_infeasible,
     predicted_and_attained,
@@ -30,6 +31,7 @@ from identification.estimate.bandwidth import Choice, choose_bandwidth, moving_s
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error import LEAST_MOTION, samples_in_motion
 from identification.model.parameters import LADDER, STRIBECK_TERMS, bears_load
+from identification.numerics.least_squares import unit_columns
 from identification.prepare import prepare, torque_unit
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
 from identification.views.nominal import LARGEST_STEP, SPEEDS, Nominal
@@ -160,25 +162,24 @@ def cross_validation_residual(joint: Joint, parts: Array) -> Array:
 
 def _point_at(joint: Joint, nominal: Nominal, effects: Sequence[Added], like: Stack) -> _Point:
     stack = stack_of(joint.rows_at(nominal), nominal, like)
-    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    left = stack.measured
     for effect in effects:
-        columns = stack.whitened(stack.columns(effect.term, effect.shape))
-        left -= columns @ np.array(effect.coefficients)
+        left -= contribution(stack, effect)
+    return _Point(nominal, tuple(effects), stack, without_nuisances(stack, left))
+
+
+def without_nuisances(stack: Stack, rows: Array) -> Array:
+    """Return whitened rows, shape (n,) or (n, k), after a fit of the constants that are no nominal
+    parameters, such as the rotor's share of the inertia or the zero of an encoder.
+    """
+    out = rows.copy()
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
-        rows = stack.part(equation.name)
+        part = stack.part(equation.name)
         if equation.name == "torque":
-            left[rows] -= _nuisance_basis(stack) @ (_nuisance_basis(stack).T @ left[rows])
-        else:
-            left[rows] -= basis @ (basis.T @ left[rows])
-    return _Point(nominal, tuple(effects), stack, left)
-
-
-def _nuisance_basis(stack: Stack) -> Array:
-    """Return the basis of torque derivatives of no nominal parameter: the rotor's inertia share."""
-    equation = next(e for e in stack.equations if e.name == "torque")
-    columns = equation.tangent[:, [n not in stack.nominal.free for n in equation.names]]
-    basis, _ = np.linalg.qr(columns)
-    return np.asarray(basis)
+            own = [name not in stack.nominal.free for name in equation.names]
+            basis, _ = np.linalg.qr(equation.tangent[:, own])
+        out[part] -= basis @ (basis.T @ out[part])
+    return out
 
 
 def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ...]]:
@@ -221,11 +222,8 @@ def _bounded_problem(point: _Point, held: Sequence[str]) -> Problem:
             least = np.full(columns[-1].shape[1], -math.inf)
             least[list(effect.term.positive)] = 0.0
             lows.append(least)
-    every, start = np.concatenate(columns, axis=1), np.concatenate(begin)
-    for equation, basis in zip(stack.equations, stack.basis, strict=True):
-        part = stack.part(equation.name)
-        q = _nuisance_basis(stack) if equation.name == "torque" else basis
-        every[part] -= q @ (q.T @ every[part])
+    every = without_nuisances(stack, np.concatenate(columns, axis=1))
+    start = np.concatenate(begin)
     lower = np.concatenate(lows)
     upper = np.concatenate([high, np.full(len(start) - count, math.inf)])
     drawn = np.concatenate([-_values(nominal), np.zeros(len(start) - count)])
@@ -236,9 +234,8 @@ def _bounded_least_squares(
     every: Array, target: Array, limits: tuple[Array, Array], drawn: Array
 ) -> Array:
     """Return the bounded solution, with a small ridge penalty toward ``drawn``."""
-    scale = np.linalg.norm(every, axis=0)
-    scale[scale == 0.0] = 1.0
-    q, r = np.linalg.qr(every / scale)
+    even, scale = unit_columns(every)
+    q, r = np.linalg.qr(even)
     found = lsq_linear(
         np.concatenate([r, RIDGE * np.eye(len(scale))]),
         np.concatenate([q.T @ target, RIDGE * drawn * scale]),

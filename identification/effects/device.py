@@ -14,6 +14,7 @@ from identification.effects.effect import (
     CLOSE,
     EXACT,
     NO_SHAPE,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -119,9 +120,7 @@ class GravityImbalance(Effect):
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(np.sin(view.angle), -np.cos(view.angle))
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, coefficients: Coefficients) -> Nominal:
         sine, cosine = coefficients
         return _with_load(nominal, sine, -cosine, 0.0, 0.0)
 
@@ -152,13 +151,11 @@ class ReturnSpring(Effect):
     def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"stiffness_Nm_rad": float(c[0]), "rest_rad": float(c[1] / c[0]) if c[0] else 0.0}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         stiffness = values["stiffness_Nm_rad"]
         return (), (stiffness, stiffness * values["rest_rad"])
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, coefficients: Coefficients) -> Nominal:
         slope, constant = coefficients
         return _with_load(nominal, 0.0, 0.0, slope, -constant)
 
@@ -185,9 +182,7 @@ class ConstantTorque(Effect):
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(-np.ones(len(view.time)))
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, coefficients: Coefficients) -> Nominal:
         return _with_load(nominal, 0.0, 0.0, 0.0, -coefficients[0])
 
 
@@ -239,7 +234,7 @@ class EndStop(Effect):
             "other_rad": lower if side == BOTH else 0.0,
         }
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         angle, other = values["angle_rad"], values["other_rad"]
         side = BOTH if other != 0.0 else UPPER if angle >= 0.0 else LOWER
         return (side, angle, other if side == BOTH else angle), (values["stiffness_Nm_rad"],)
@@ -342,7 +337,7 @@ class WrongWeight(Effect):
         view = next(v for v in context.views if v.index == round(shape[0]))
         return {"mass_kg": (1.0 + float(c[0])) * label_kg(view)}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["recording"] - 1.0, values["mass_kg"]), (1.0,)
 
 
@@ -401,7 +396,7 @@ class LoadSwing(Effect):
             "decay_s": shape[1],
         }
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["frequency_Hz"], values["decay_s"], ONE_PHASE), (0.0, values["fraction"])
 
 

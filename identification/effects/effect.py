@@ -22,6 +22,8 @@ from identification.views.view import View
 
 Shape = tuple[float, ...]
 """Values of an effect's nonlinear parameters."""
+Coefficients = tuple[float, ...]
+"""Coefficients of an effect's regressors."""
 Columns = Callable[[View, Nominal, Shape], Array]
 """Function of a view, nominal values and nonlinear parameters that returns the regressors of one
 recording at the full sample rate, shape (k, m).
@@ -325,6 +327,14 @@ class Effect:
         return self.enters if self.modelled is None else self.modelled
 
     @property
+    def corrected(self) -> Mapping[str, Columns]:
+        """Regressors of the corrected model, by equation; the torque at a breakaway is part of the
+        torque.
+        """
+        found = {e: c for e, c in self.columns.items() if e in self.exported}
+        return {"torque": found["breakaway"], **found} if "breakaway" in found else found
+
+    @property
     def freedom(self) -> int:
         """Number of parameters fitted in addition to the coefficients."""
         return len(self.refine) - (self.size is not None)
@@ -376,7 +386,7 @@ class Effect:
             found[self.linear] = float(c[0])
         return {q.name: float(found[q.name]) for q in self.parameters}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         """Return nonlinear parameters and coefficients at parameters of the catalogue; the inverse
         of :meth:`read`. A parameter ``recording`` counts from 1.
         """
@@ -390,15 +400,13 @@ class Effect:
         """Return the nominal values and nonlinear parameters from which a joint fit starts."""
         return nominal, shape
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, _coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, _coefficients: Coefficients) -> Nominal:
         """Return the nominal values with those quantities of the fitted effect on which regressors
         of other effects depend.
         """
         return nominal
 
-    def impossible(self, _coefficients: tuple[float, ...], _nominal: Nominal) -> str:
+    def impossible(self, _coefficients: Coefficients, _nominal: Nominal) -> str:
         """Return why no machine has these coefficients at these values; empty if one may."""
         return ""
 

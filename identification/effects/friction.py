@@ -13,6 +13,7 @@ import numpy as np
 from identification.effects.effect import (
     CLOSE,
     EXACT,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -105,11 +106,6 @@ def initial_friction(view: View, nominal: Nominal) -> float:
     return float(np.polyval(np.polyfit(places, left, 1), 0.0))
 
 
-def _last_rest(view: View) -> Array:
-    """Return the duration of the last rest, s, also at the sample that ends it."""
-    return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
-
-
 def _left_of_the_start(view: View, shape: Shape) -> Array:
     """Return what is left of a state that is 1 at the start of the running time."""
     return np.asarray(np.exp(-view.run_time / shape[0]))
@@ -150,7 +146,7 @@ class AsymmetricCoulomb(Effect):
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(np.ones(len(view.time)))
 
-    def impossible(self, coefficients: tuple[float, ...], nominal: Nominal) -> str:
+    def impossible(self, coefficients: Coefficients, nominal: Nominal) -> str:
         if abs(coefficients[0]) <= nominal.values.get("Mc", np.inf):
             return ""
         return "friction that drives the motion in one direction"
@@ -326,7 +322,8 @@ class DwellStaticFriction(Effect):
     @staticmethod
     def breakaway(view: View, _nominal: Nominal, shape: Shape) -> Array:
         ends = np.concatenate(([False], view.still[:-1] & ~view.still[1:]))
-        grown = 1.0 - np.exp(-_last_rest(view) / shape[0])
+        last_rest = np.maximum(view.rest_time, np.roll(view.rest_time, 1))  # also where it ends
+        grown = 1.0 - np.exp(-last_rest / shape[0])
         return rows(view.sense * grown * (view.still | ends))
 
 
@@ -429,12 +426,10 @@ class FrictionPlay(Effect):
             "inertia_kgm2": float(c[1]),
         }
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["gap_rad"],), (values["friction_share"], values["inertia_kgm2"])
 
-    def feeds_back(
-        self, nominal: Nominal, shape: Shape, _coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, shape: Shape, _coefficients: Coefficients) -> Nominal:
         return replace(nominal, play=shape[0])
 
     def indistinct(
@@ -512,7 +507,7 @@ class ViscousThermalDrift(Effect):
         viscous = max(context.nominal.get("sigma_2"), 1e-300)
         return {"fraction": -float(c[0]) / viscous, "time_s": shape[0]}
 
-    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (values["time_s"],), (-values["fraction"] * nominal.get("sigma_2"),)
 
 

@@ -6,7 +6,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from identification.effects.effect import EXACT, Dimension, Effect, Quantity, Shape, rows
+from identification.effects.effect import (
+    EXACT,
+    Coefficients,
+    Dimension,
+    Effect,
+    Quantity,
+    Shape,
+    rows,
+)
 from identification.model import gas_generator as kernel
 from identification.recording import Array
 
@@ -41,7 +49,7 @@ class GasGeneratorEffect(Effect):
         """Return the change of the pressure over the size of the effect, Pa, shape (1, n)."""
         return rows(nominal.response(view, self, shape))
 
-    def feeds_back(self, nominal: Any, shape: Shape, coefficients: tuple[float, ...]) -> Any:
+    def feeds_back(self, nominal: Any, shape: Shape, coefficients: Coefficients) -> Any:
         return nominal.with_effect(self, coefficients[0], shape)
 
 

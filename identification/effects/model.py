@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.effects import EFFECTS
-from identification.effects.effect import Columns, Effect, Shape
+from identification.effects.effect import Coefficients, Columns, Effect, Shape
 from identification.estimate.default import identify_any_length
 from identification.estimate.equation_error import LEAST_MOTION
 from identification.model.parameters import UNITS_ROTARY
 from identification.numerics.arrays import Array
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
-from identification.views.nominal import Nominal, winding_voltage
+from identification.views.nominal import Nominal, has_winding_voltage, winding_voltage
 from identification.views.predicted import (
     Predicted,
     predicted,
@@ -60,7 +60,7 @@ class Response(NamedTuple):
     effect: Effect
     columns: Columns
     shape: Shape
-    coefficients: tuple[float, ...]
+    coefficients: Coefficients
 
     def added(self, view: View, nominal: Nominal) -> Array:
         """Return what the effect adds, shape (m,)."""
@@ -91,7 +91,7 @@ class CorrectedModel:
     catalogue: Mapping[str, Effect] = field(default_factory=lambda: EFFECTS, repr=False)
 
     @cached_property
-    def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, tuple[float, ...]]]]:
+    def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, Coefficients]]]:
         """Nominal values for the regressors, and parameters and coefficients of each effect."""
         plain = nominal = Nominal(self.parameters, (), self.alpha)
         placed = {n: self.catalogue[n].at(given, plain) for n, given in self.effects.items()}
@@ -158,14 +158,10 @@ class CorrectedModel:
         }
 
     def responses(self, equation: str) -> Iterator[Response]:
-        """Yield what each effect adds to an equation; the torque at a breakaway is part of the
-        torque.
-        """
+        """Yield what each effect adds to an equation."""
         for name, (shape, coefficients) in self._fitted[1].items():
             effect = self.catalogue[name]
-            columns = {e: c for e, c in effect.columns.items() if e in effect.exported}
-            if equation == "torque" and "torque" not in columns and "breakaway" in columns:
-                columns["torque"] = columns["breakaway"]
+            columns = effect.corrected
             if equation in columns:
                 yield Response(effect, columns[equation], shape, coefficients)
 
@@ -184,6 +180,11 @@ class CorrectedModel:
         """
         found = [r for r in self.responses("torque") if r.effect.on_drive]
         return view.transmitted - self._sum(np.zeros(len(view.time)), found, view)
+
+    def added_torque(self, view: View) -> Array:
+        """Return the torque that effects and curve add to the nominal model, N m, shape (m,)."""
+        plain = dataclasses.replace(self, effects={}, curve=None)
+        return (self.torque(view) - plain.torque(view)) - (self.drive(view) - plain.drive(view))
 
     def twist(self, view: View) -> Array:
         """Return motor_angle / i - angle up to a constant, rad, shape (n,)."""
@@ -249,8 +250,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
         found.append(
             Predicted("transmission", name, recording.role, view.kept_times, lag - zero, twist)
         )
-    known = recording.bench.resistance is not None and recording.bench.back_emf_constant is not None
-    if view.voltage is not None and view.current is not None and known:
+    if has_winding_voltage(view):
         found.append(predicted_voltage(view, model.voltage(view)))
     if len(view.breakaways):
         found.append(predicted_breakaways(view, model.breakaway(view)))
@@ -258,10 +258,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
 
 
 def views_for(
-    recordings: Sequence[Recording],
-    bandwidth_Hz: float,
-    model: CorrectedModel,
-    campaign: Sequence[Recording] = (),
+    recordings: Sequence[Recording], bandwidth_Hz: float, model: CorrectedModel
 ) -> tuple[View, ...]:
     """Return the views with which a model is compared: friction is a function of the valve's
     motion if an effect makes the transmission flexible, unless the valve hardly moves.
@@ -270,16 +267,15 @@ def views_for(
         recordings: Recordings.
         bandwidth_Hz: Bandwidth of the errors.
         model: The model.
-        campaign: All recordings of the campaign in order.
 
     Raises:
         RecordingError: A recording does not allow this bandwidth.
     """
     if any(model.catalogue[name].flexible for name in model.effects):
-        found = views(recordings, bandwidth_Hz, True, campaign)
+        found = views(recordings, bandwidth_Hz, True)
         if sum(int(np.sum(v.moving)) for v in found) >= LEAST_MOTION:
             return found
-    return views(recordings, bandwidth_Hz, campaign=campaign)
+    return views(recordings, bandwidth_Hz)
 
 
 def without_effects(
@@ -319,9 +315,7 @@ def refit(
 
 
 def _without(recording: Recording, view: View, model: CorrectedModel) -> Recording:
-    plain = dataclasses.replace(model, effects={}, curve=None)
-    added = (model.torque(view) - plain.torque(view)) - (model.drive(view) - plain.drive(view))
-    measured = recording.channels
+    added, measured = model.added_torque(view), recording.channels
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
             f"{recording.name}: effects are subtracted from the torque or the current, but "

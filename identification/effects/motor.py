@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.effects.effect import (
     EXACT,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -28,7 +29,7 @@ from identification.numerics.series import sine_cosine, temperature_rise
 from identification.recording import Array
 from identification.signals import central_difference, resample, values_at_ends
 from identification.views.nominal import Nominal
-from identification.views.view import View, lacks_common_origin, recent, torque_per_ampere
+from identification.views.view import View, lacks_common_origin, recent
 
 COPPER_PER_K = 0.00393
 """Temperature coefficient of the resistance of a copper winding, 1/K."""
@@ -356,9 +357,7 @@ class TorqueRipple(_Wave):
         wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
         return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
 
-    def feeds_back(
-        self, nominal: Nominal, shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, shape: Shape, coefficients: Coefficients) -> Nominal:
         return replace(nominal, ripple=(shape, coefficients))
 
 
@@ -396,7 +395,7 @@ class TorqueSaturation(Effect):
         which cannot exceed half of Km I_k.
         """
         knee, rational = shape
-        gain = torque_per_ampere(view)
+        gain = view.recording.bench.ampere_torque
         share = nominal.drive(view) / (gain * knee)
         if rational:
             share = np.clip(share, -0.4999, 0.4999)
@@ -410,7 +409,7 @@ class TorqueSaturation(Effect):
         if not any(has_current(v) for v in context.views):
             return ()
         greatest = max(
-            float(np.max(np.abs(context.nominal.drive(v)))) / torque_per_ampere(v)
+            float(np.max(np.abs(context.nominal.drive(v)))) / v.recording.bench.ampere_torque
             for v in context.views
         )
         return [(k * greatest, rational) for rational in TANH_OR_RATIONAL for k in KNEES]
@@ -444,7 +443,7 @@ class StrayLoss(Effect):
         """Return the torque, without loss, of the additional current that the loss requires: I of
         k I - c omega I^2 = M, k the torque per ampere.
         """
-        gain, torque = torque_per_ampere(view), nominal.drive(view)
+        gain, torque = view.recording.bench.ampere_torque, nominal.drive(view)
         share = 4.0 * shape[0] * view.velocity * torque / gain**2
         needed = 2.0 / (1.0 + np.sqrt(1.0 - np.minimum(share, 0.99)))
         return rows(torque * (needed - 1.0))
@@ -454,7 +453,7 @@ class StrayLoss(Effect):
         greatest = max(
             (
                 float(np.max(np.abs(context.nominal.drive(v) * v.velocity)))
-                / torque_per_ampere(v) ** 2
+                / v.recording.bench.ampere_torque**2
                 for v in seen
             ),
             default=0.0,

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from identification.effects.effect import Columns, Context, Effect, Quantity, Shape
+from identification.effects.effect import Coefficients, Columns, Context, Effect, Quantity, Shape
 from identification.recording import Array
 from identification.views.nominal import Nominal
 from identification.views.view import View
@@ -318,7 +318,7 @@ class OwnEffect(Effect):
         found = {**_named(self.nonlinear, shape), **_named(self.coefficients, c)}
         return {q.name: float(found[q.name]) for q in self.parameters}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         """Return nonlinear parameters and coefficients; the inverse of :meth:`read`."""
         shape = tuple(float(values[str(n)]) for n in self.nonlinear)
         return shape, tuple(float(values[n]) for n in self.coefficients) or (1.0,)

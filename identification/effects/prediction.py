@@ -206,9 +206,7 @@ def _view_of(model: CorrectedModel, recording: Recording, found: Response) -> Vi
 
 def _disturbance(model: CorrectedModel, view: View, time: Array) -> Array:
     """Return the torque on the joint by effects and curve, N m, at ``time``."""
-    plain = dataclasses.replace(model, effects={}, curve=None)
-    added = (model.torque(view) - plain.torque(view)) - (model.drive(view) - plain.drive(view))
-    return np.asarray(-np.interp(time, view.time, added))
+    return np.asarray(-np.interp(time, view.time, model.added_torque(view)))
 
 
 def _required(

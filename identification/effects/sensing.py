@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.effects.effect import (
     EXACT,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -25,7 +26,7 @@ from identification.numerics.series import delayed_series, sine_cosine
 from identification.recording import Array
 from identification.signals import central_difference
 from identification.views.nominal import Nominal
-from identification.views.view import View, lacks_common_origin, torque_per_ampere
+from identification.views.view import View, lacks_common_origin
 
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 SKEWS_S: tuple[Shape, ...] = tuple(
@@ -49,7 +50,7 @@ def _drift(view: View, shape: Shape) -> Array:
 
 
 def _current_offset(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    return rows(np.full(len(view.time), torque_per_ampere(view)))
+    return rows(np.full(len(view.time), view.recording.bench.ampere_torque))
 
 
 def _current_offset_voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -189,9 +190,7 @@ class CurrentOffset(Effect):
     torque = staticmethod(_current_offset)
     voltage = staticmethod(_current_offset_voltage)
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, coefficients: Coefficients) -> Nominal:
         return replace(nominal, zero_A=nominal.zero_A + coefficients[0])
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from identification.effects.effect import (
     EXACT,
     Clearance,
+    Coefficients,
     Context,
     Dimension,
     Effect,
@@ -282,7 +283,7 @@ class Compliance(Effect):
     def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"stiffness_Nm_rad": 1.0 / float(c[0])}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (), (1.0 / values["stiffness_Nm_rad"], 0.0, 0.0, 0.0, 0.0)
 
 
@@ -372,12 +373,10 @@ class TransmissionEfficiency(Effect):
     def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"efficiency": 1.0 / (1.0 + float(c[0]))}
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
+    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, Coefficients]:
         return (), (1.0 / values["efficiency"] - 1.0,)
 
-    def feeds_back(
-        self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
-    ) -> Nominal:
+    def feeds_back(self, nominal: Nominal, _shape: Shape, coefficients: Coefficients) -> Nominal:
         return replace(nominal, efficiency=1.0 / (1.0 + max(coefficients[0], 0.0)))
 
 

@@ -134,10 +134,7 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
     ``replicates``: replicates of the experiment at the estimate, for the bound, the prior of the
     scatter, and instruments of the inertia.
     """
-    x = point.origin()
-    held = point.weighted()
-    residual = held.residuals(x)
-    jacobian = held.jacobian(x, residual)
+    _, _, residual, jacobian = point.linearised()
     z = instruments(point, jacobian)
     count = len(point.free)
     share = 1.0 / point.experiment.matching_count

@@ -59,10 +59,8 @@ from identification.prepare import (
 )
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import (
-    DEFAULT,
     MOST_FLOORS,
     Convergence,
-    EstimatorSettings,
     Fit,
     Identification,
     Parameter,
@@ -79,7 +77,6 @@ def identify(
     progress: Progress | None = None,
     profile: bool = False,
     draws: int = 0,
-    settings: EstimatorSettings = DEFAULT,
     in_pieces: bool = False,
 ) -> Identification:
     """Identify the nine parameters in two stages; if no recording is loaded, the five system
@@ -95,7 +92,6 @@ def identify(
         profile: Whether to compute profile likelihoods as well; the identification then takes
             several times as long.
         draws: Number of bootstrap samples, 0 for none.
-        settings: Settings of the estimator.
         in_pieces: Whether to process the recordings piece by piece, without replicates, profiles
             and bootstrap. Memory in addition to the recordings then grows by 14 bytes per sample,
             and traces cover the first piece of each recording only.
@@ -114,7 +110,7 @@ def identify(
     tell("unloaded", 0.0)
     prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
-    model, limits = dataset.model, settings.acceptance
+    model = dataset.model
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     noise = equation_noise(by_load(active)[0], values, model.alpha)
@@ -125,17 +121,17 @@ def identify(
             return refine_pieces(
                 heads, every, values, names, model, partial(tell, "joint"), correlated, noise
             )
-        return refine_recordings(every, values, names, model, correlated, tell, limits, noise)
+        return refine_recordings(every, values, names, model, correlated, tell, noise)
 
     tell("joint", 0.0)
-    found = refine(refined, active, values, names, model.alpha, limits)
+    found = refine(refined, active, values, names, model.alpha)
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
     notes = [_TOO_LONG] if profile or draws else []
     doubts: tuple[str, ...] = ()
     if not in_pieces:
         doubts = *varpro.averaging(active, values, names, model.alpha), *_unresolved(active)
-        found = corrected(found, chance, settings.replicates, tell)
+        found = corrected(found, chance, tell)
         curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(
@@ -251,13 +247,8 @@ def _asked(
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
         )
-        return (
-            (),
-            (),
-            [f"no {what}: the refinement by prediction errors, which it needs, was not accepted"]
-            if what
-            else [],
-        )
+        why = f"no {what}: the refinement by prediction errors, which it needs, was not accepted"
+        return (), (), [why] if what else []
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
     # Profiles and bootstrap results are centred at the maximum of the likelihood; the bias

@@ -14,7 +14,7 @@ from scipy import optimize
 from identification.model.friction import stribeck_shape, system_friction
 from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray, IntArray
-from identification.numerics.least_squares import Design, bounded_least_squares
+from identification.numerics.least_squares import Design, bounded_least_squares, unit_columns
 from identification.numerics.spread import NO_SPREAD, Spread, correlation_samples
 from identification.prepare import Prepared, joint_angle, prepare, uniform_grid, volts_per_torque
 from identification.recording import Model, Recording, RecordingError
@@ -420,12 +420,9 @@ def _linearised(
 
 def _sandwich(rows: _Rows, residual: Array) -> tuple[Array, float]:
     """Return the covariance of all columns, clustered by blocks, and its degrees of freedom."""
-    jacobian, blocks = rows.jacobian, int(rows.owner[-1]) + 1
-    count = jacobian.shape[1]
-    scale = np.linalg.norm(jacobian, axis=0)
-    blind = scale == 0.0
-    scale[blind] = 1.0
-    scaled = jacobian / scale
+    blocks, count = int(rows.owner[-1]) + 1, rows.jacobian.shape[1]
+    scaled, scale = unit_columns(rows.jacobian)
+    blind = ~np.any(scaled, axis=0)
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     scores = np.zeros((blocks, count))
     np.add.at(scores, rows.owner, scaled * residual[:, None])
@@ -464,11 +461,10 @@ def averaging(
         other = replace(p.recording, averaged=p.recording.averaged ^ {name})
         shifts.append(p.torque - prepare(other, p.bandwidth_Hz).torque)
     rows = _linearised(prepared, values, names, alpha, shifts)
-    scale = np.linalg.norm(rows.jacobian, axis=0)
-    if scale[-1] == 0.0:
+    even, scale = unit_columns(rows.jacobian)
+    if not np.any(even[:, -1]):
         return ()
-    scale[scale == 0.0] = 1.0
-    step = np.linalg.lstsq(rows.jacobian / scale, rows.residual)[0] / scale
+    step = np.linalg.lstsq(even, rows.residual)[0] / scale
     covariance, _ = _sandwich(rows, rows.residual - rows.jacobian @ step)
     shift, error = float(step[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
     if error > SURE_MEAN or abs(shift - 1.0) > NEAR_MEAN:
@@ -511,10 +507,8 @@ def discrepancy(
     ``rms``: rms of the residual beyond its noise, N m or N. ``noise``: rms of the noise, N m or N.
     """
     here = [p for p in prepared if np.any(p.used)]
-    jacobian = _linearised(here, values, names, alpha).jacobian
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = jacobian / scale
+    rows = _linearised(here, values, names, alpha)
+    scaled, scale = unit_columns(rows.jacobian)
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     loads = np.concatenate([np.full(int(np.sum(p.used)), np.median(p.moment)) for p in here])
     cells = np.unique(loads, return_inverse=True)[1]
@@ -522,9 +516,8 @@ def discrepancy(
         series = np.concatenate([getattr(p, signal)[p.used] for p in here])
         edges = np.quantile(series, np.linspace(0.0, 1.0, count + 1)[1:-1])
         cells = cells * count + np.searchsorted(edges, series)
-    residual = np.concatenate([(p.torque - model_torque(p, values, alpha))[p.used] for p in here])
     number = int(np.max(cells)) + 1
-    squares = np.bincount(cells, residual**2, number) / np.maximum(np.bincount(cells), 1)
+    squares = np.bincount(cells, rows.residual**2, number) / np.maximum(np.bincount(cells), 1)
     sums = np.zeros((number, len(names)))
     np.add.at(sums, cells, scaled)
     reach = sums @ bread / scale

@@ -392,10 +392,7 @@ def solve(point: Point) -> Point:
 
 def _round(point: Point) -> tuple[Point, Array]:
     """Solve the equations with fixed instruments by chord steps; return point and deviations."""
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
-    jacobian = held.jacobian(x, residual)
+    held, x, residual, jacobian = point.linearised()
     z = instruments(point, jacobian)
     count = len(point.free)
     bread = np.linalg.inv(z.product(huber_weight(residual, HUBER_THRESHOLD), jacobian))
@@ -427,10 +424,8 @@ def _round(point: Point) -> tuple[Point, Array]:
 
 def equations_chi2(point: Point) -> float:
     """Return the chi-square of the estimating equations at a point (M29)."""
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
-    z = instruments(point, held.jacobian(x, residual))
+    _, _, residual, jacobian = point.linearised()
+    z = instruments(point, jacobian)
     score = z.back(residual * huber_weight(residual, HUBER_THRESHOLD))
     return float(score @ np.linalg.pinv(z.product(), hermitian=True) @ score)
 
@@ -483,10 +478,7 @@ def _inflated(point: Point, others: tuple[int, ...]) -> Point:
 
 def _inertia_step(point: Point) -> tuple[float, float]:
     """Return the step in log J that solves the linearised equation, and its deviation."""
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
-    jacobian = held.jacobian(x, residual)
+    _, _, residual, jacobian = point.linearised()
     influence = influence_on_inertia(point, instruments(point, jacobian), jacobian, residual)
     return -float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD))), float(
         np.linalg.norm(influence)
@@ -495,11 +487,9 @@ def _inertia_step(point: Point) -> tuple[float, float]:
 
 def segment_inflation(point: Point, others: Sequence[int]) -> Array:
     """Return each segment's variance inflation for the estimate of ``others``, (m,) (M13)."""
-    held = replace(point, inflation=np.ones(point.breakaways)).weighted()
-    x = point.origin()
     # Derivatives with respect to all free parameters are computed, because the callers need them
     # next.
-    jacobian = held.jacobian(x, held.residuals(x))
+    jacobian = replace(point, inflation=np.ones(point.breakaways)).linearised()[3]
     for j in reversed([j for j, k in enumerate(point.free) if k not in others]):
         jacobian = jacobian.without(j)
     return inflation_by(point.experiment, jacobian)

@@ -51,7 +51,13 @@ def climb(
     """
     tell = progress or silent
     chosen, bandwidth_Hz, _ = choose_bandwidth(dataset, bandwidth_Hz)
-    to_fit = _to_fit(chosen)
+    loaded = [r.name for r in chosen.recordings if r.stage == "loaded"]
+    if loaded:
+        raise RecordingError(
+            f"{loaded[0]}: the recording is loaded, but the friction ladder describes friction "
+            "without load; remove all loaded recordings"
+        )
+    to_fit = chosen.part("fit")
     to_score = chosen.part("validate") or to_fit
     simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     hanging = any(r.known_load for r in to_fit)
@@ -64,20 +70,6 @@ def climb(
         rungs.append(Rung(name, result, _angle(result, to_score) if simulated else None))
     tell("ladder", 1.0)
     return tuple(rungs)
-
-
-def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
-    """Return the recordings to fit; raise RecordingError if none, or if one is loaded."""
-    loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
-    if loaded:
-        raise RecordingError(
-            f"{loaded[0]}: the recording is loaded, but the friction ladder describes friction "
-            "without load; remove all loaded recordings"
-        )
-    to_fit = dataset.part("fit")
-    if not to_fit:
-        raise RecordingError("no recording has role 'fit'; at least one is needed")
-    return to_fit
 
 
 def _angle(result: Identification, recordings: tuple[Recording, ...]) -> Sums:

@@ -57,20 +57,23 @@ def fit_of(
     The unit is that of the torque; if only the voltage was measured, the unit is V, and the error
     is the armature voltage R I of the torque error.
     """
-    first = prepared[0]
+    found = _fit(prepared[0], *_errors(prepared, values, alpha))
+    if not validate:
+        return found
+    held = _fit(prepared[0], *_errors(validate, values, alpha))
+    return replace(found, validate_rms=held.train_rms, validate_relative=held.train_relative)
+
+
+def _fit(first: Prepared, rms: float, relative: float) -> Fit:
+    """Return an rms torque error and its ratio to the torque, in the unit of the recordings."""
     volts = volts_per_torque(first.recording)
-    rms, relative = _errors(prepared, values, alpha)
-    held: tuple[float | None, float | None] = (
-        _errors(validate, values, alpha) if validate else (None, None)
-    )
-    scale = 1.0 if volts is None else volts
     return Fit(
         unit=torque_unit(first.recording) if volts is None else "V",
         bandwidth_Hz=first.bandwidth_Hz,
-        train_rms=scale * rms,
+        train_rms=(1.0 if volts is None else volts) * rms,
         train_relative=relative,
-        validate_rms=None if held[0] is None else scale * held[0],
-        validate_relative=held[1],
+        validate_rms=None,
+        validate_relative=None,
     )
 
 
@@ -130,17 +133,7 @@ def _unrepeated(pairs: Sequence[tuple[Recording, Predicted]]) -> float:
 def _printed(parts: Sequence[Predicted], first: Prepared) -> Fit | None:
     """Return the error of some recordings, or None without a sample."""
     error = rms(parts)
-    if error is None:
-        return None
-    volts = volts_per_torque(first.recording)
-    return Fit(
-        unit=torque_unit(first.recording) if volts is None else "V",
-        bandwidth_Hz=first.bandwidth_Hz,
-        train_rms=(1.0 if volts is None else volts) * error,
-        train_relative=relative(parts) or 0.0,
-        validate_rms=None,
-        validate_relative=None,
-    )
+    return None if error is None else _fit(first, error, relative(parts) or 0.0)
 
 
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
@@ -201,7 +194,6 @@ def parameter_table(
     identifiable is then withheld: it is an extrapolation.
     """
     units = units_of(prepared)
-    fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
     table: dict[str, Parameter] = {}
     order = [
         n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset") if n in values
@@ -213,13 +205,14 @@ def parameter_table(
                 name, units[name], value, value, value, reason="fixed in the campaign, not fitted"
             )
         elif name not in spread.names:
-            table[name] = Parameter(
-                name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name)
+            coulomb, static, _ = next(terms for terms in STRIBECK_TERMS if name in terms[1:])
+            reason = (
+                f"static friction does not exceed Coulomb friction in these recordings: {static} "
+                f"would fall to {coulomb}, its lower bound"
             )
+            table[name] = _withheld(name, units[name], reason, at_bound=True)
         else:
-            judged = _judge(
-                name, units[name], value, spread.half_width(name), fastest, prepared, values
-            )
+            judged = _judge(name, units[name], spread.half_width(name), prepared, values)
             table[name] = replace(judged, floor=floors.get(name))
     seen = {
         names
@@ -230,12 +223,10 @@ def parameter_table(
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
             _judge_rise(table, names, values, spread, keep_speed=shared)
-            static, speed = table[names[1]], table[names[2]]
-            if discrepant and static.identifiable and not speed.identifiable:
-                reason = f"{static.name} is extrapolated with {speed.name}: {speed.reason}"
-                table[static.name] = Parameter(
-                    static.name, static.unit, None, identifiable=False, reason=reason
-                )
+            level, speed = table[names[1]], table[names[2]]
+            if discrepant and level.identifiable and not speed.identifiable:
+                reason = f"{level.name} is extrapolated with {speed.name}: {speed.reason}"
+                table[level.name] = _withheld(level.name, level.unit, reason)
     return table
 
 
@@ -275,94 +266,55 @@ def _judge_rise(
         )
         withheld = (static,) if keep_speed else (static, speed)
         for name in (n for n in withheld if n in spread.names and table[n].identifiable):
-            table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
+            table[name] = _withheld(name, table[name].unit, reason)
     elif table[speed].at_bound and table[static].identifiable:
         reason = f"{static} is the friction at the slow end of the falling part, and for {speed} "
         reason += f"{table[speed].reason}"
-        table[static] = Parameter(
-            static, table[static].unit, None, identifiable=False, reason=reason
-        )
+        table[static] = _withheld(static, table[static].unit, reason)
 
 
-def _absent(name: str) -> str:
-    coulomb, static, _ = next(names for names in STRIBECK_TERMS if name in names[1:])
-    return (
-        f"static friction does not exceed Coulomb friction in these recordings: {static} would "
-        f"fall to {coulomb}, its lower bound"
-    )
+def _withheld(name: str, unit: str, reason: str, at_bound: bool = False) -> Parameter:
+    return Parameter(name, unit, None, identifiable=False, at_bound=at_bound, reason=reason)
 
 
 def _judge(
     name: str,
     unit: str,
-    value: float,
     half: float,
-    fastest: float,
     prepared: Sequence[Prepared],
     values: Mapping[str, float],
 ) -> Parameter:
     """Return the parameter, with a reason where the data do not determine it."""
-    speed = name in ("omega_sf", "omega_sL")
-    at_bound = value <= 0.0 if name != "offset" and not speed else False
-    if speed:
-        at_bound = (
-            value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest
-        )
+    value, moving = values[name], [p for p in prepared if np.any(p.used)]
+    if name in ("omega_sf", "omega_sL"):
+        fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
+        if value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest:
+            reason = (
+                f"the search ends at the bound of this parameter, {value:.3g} {unit}: the "
+                "recordings do not show the falling part of friction"
+            )
+            return _withheld(name, unit, reason, at_bound=True)
+    elif name != "offset" and value <= 0.0:
+        reason = "the best fit would have a value below 0, which is the lower bound"
+        return _withheld(name, unit, reason, at_bound=True)
+    most, rule = WIDEST * abs(value), f"{100.0 * WIDEST:g} % of the value"
     if name == "offset":
-        scale = math.sqrt(
-            sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used))
-        )
-        loose = half > OFFSET_SHARE * scale
-    else:
-        loose = not half <= WIDEST * abs(value)
-    if loose or at_bound:
-        return Parameter(
-            name,
-            unit,
-            None,
-            identifiable=False,
-            at_bound=at_bound,
-            reason=_why(name, unit, value, half, at_bound, prepared, values),
-        )
-    return Parameter(name, unit, value, value - half, value + half)
-
-
-def _why(
-    name: str,
-    unit: str,
-    value: float,
-    half: float,
-    at_bound: bool,
-    prepared: Sequence[Prepared],
-    values: Mapping[str, float],
-) -> str:
-    """Return the reason why a parameter is not identifiable."""
-    if at_bound and name in ("omega_sf", "omega_sL"):
-        return (
-            f"the search ends at the bound of this parameter, {value:.3g} {unit}: the recordings "
-            "do not show the falling part of friction"
-        )
-    if at_bound:
-        return "the best fit would have a value below 0, which is the lower bound"
+        rms = math.sqrt(sum(float(np.mean(p.torque[p.used] ** 2)) for p in moving))
+        most, rule = OFFSET_SHARE * rms, f"{100.0 * OFFSET_SHARE:g} % of the rms torque"
+    if half <= most:
+        return Parameter(name, unit, value, value - half, value + half)
     suffix = "" if unit == "1" else f" {unit}"
-    rule = (
-        f"{100.0 * OFFSET_SHARE:g} % of the rms torque"
-        if name == "offset"
-        else f"{100.0 * WIDEST:g} % of the value"
-    )
     interval = (
         f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide for "
         f"the value to count as identified: its half width, {half:.3g}{suffix}, exceeds {rule}"
     )
     if name == "J":
-        inertia = max(
-            float(np.std((values["J"] * p.acceleration)[p.used]))
-            for p in prepared
-            if np.any(p.used)
+        inertia = max(float(np.std(value * p.acceleration[p.used])) for p in moving)
+        torque = max(float(np.std(p.torque[p.used])) for p in moving)
+        interval = (
+            f"J domega/dt is only {100.0 * inertia / torque:.2g} % of the torque, and {interval}"
         )
-        torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))
-        return f"J domega/dt is only {100.0 * inertia / torque:.2g} % of the torque, and {interval}"
-    return interval
+    return _withheld(name, unit, interval)
 
 
 TRADE_OFF = 0.9  # least correlation, as a magnitude, at which two parameters count as a trade-off
@@ -406,7 +358,8 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     names, correlation = _correlation(spread, values)
     if not names:
         return ""
-    relative = _relative(spread, values, names)
+    variance = dict(zip(spread.names, np.diag(spread.matrix), strict=True))
+    relative = np.array([math.sqrt(variance[n]) / abs(values[n]) for n in names])
     shares, vectors = np.linalg.eigh(correlation * np.outer(relative, relative))
     vector = vectors[:, -1] / vectors[np.argmax(np.abs(vectors[:, -1])), -1]
     shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
@@ -438,11 +391,6 @@ def _correlation(spread: Spread, values: Mapping[str, float]) -> tuple[list[str]
     return [spread.names[k] for k in kept], spread.matrix[np.ix_(kept, kept)] / np.outer(
         deviation, deviation
     )
-
-
-def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> Array:
-    variance = dict(zip(spread.names, np.diag(spread.matrix), strict=True))
-    return np.array([math.sqrt(variance[n]) / abs(values[n]) for n in names])
 
 
 def _pinned(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.estimate import searches as staged
 from identification.estimate.covariance import (
     covariances,
     named_covariances,
@@ -18,9 +17,17 @@ from identification.estimate.covariance import (
 from identification.estimate.equation_error import block_sandwich
 from identification.estimate.parameter_table import typical_error
 from identification.estimate.replicates import Bias, likelihood_bias
-from identification.estimate.searches import Refined
+from identification.estimate.searches import (
+    MOST_CHI2,
+    MOST_DROP,
+    MOST_ERROR,
+    MOST_NOISE,
+    MOST_REPEATING,
+    MOST_WHITENESS,
+    Refined,
+    refine_stages,
+)
 from identification.filter.likelihood import (
-    HUBER_THRESHOLD,
     ROUNDS,
     Point,
     Reduced,
@@ -42,20 +49,11 @@ from identification.numerics.least_squares import equilibrated
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, joint_angle
 from identification.recording import Model, Recording
-from identification.result import (
-    DEFAULT,
-    AcceptanceLimits,
-    Convergence,
-    MeasuredNoise,
-    ReplicateSettings,
-    Starts,
-)
+from identification.result import Convergence, MeasuredNoise, Starts
 from identification.signals import quantum
 
 
-def refusal(
-    refined: Refined, before: float, after: float, limits: AcceptanceLimits = DEFAULT.acceptance
-) -> str:
+def refusal(refined: Refined, before: float, after: float) -> str:
     """Return the reason why the refined values are rejected; empty if they are accepted.
 
     ``before``: mean equation error of the start values over the recordings. ``after``: mean
@@ -70,39 +68,39 @@ def refusal(
     )
     if not np.all(np.isfinite(judged)):
         return "the search diverged to values that are not finite"
-    if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
+    if refined.noise.torque > MOST_NOISE * refined.torque_scatter:
         return (
             f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
-            f"than {limits.noise_ratio:g} times the torque scatter from sample to sample, "
+            f"than {MOST_NOISE:g} times the torque scatter from sample to sample, "
             f"{refined.torque_scatter:.3g}, so the parameters would compensate physics that the "
             "model lacks"
         )
-    if abs(refined.whiteness) > limits.whiteness:
+    if abs(refined.whiteness) > MOST_WHITENESS:
         return (
             f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
-            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
+            f"(limit {MOST_WHITENESS}), so the parameters would compensate physics that the "
             "model lacks"
         )
-    if refined.repeating_share > limits.repeating_share:
+    if refined.repeating_share > MOST_REPEATING:
         return (
             f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats in matching "
-            f"half cycles (limit {100.0 * limits.repeating_share:.0f} %), so the recordings show "
+            f"half cycles (limit {100.0 * MOST_REPEATING:.0f} %), so the recordings show "
             "physics that the model lacks"
         )
-    if refined.equations_chi2 > limits.chi2:
+    if refined.equations_chi2 > MOST_CHI2:
         return (
             "no search of the unloaded fit solves the estimating equations (least chi-square "
-            f"{refined.equations_chi2:.3g}, limit {limits.chi2:g})"
+            f"{refined.equations_chi2:.3g}, limit {MOST_CHI2:g})"
         )
-    if refined.likelihood_drop > limits.drop:
+    if refined.likelihood_drop > MOST_DROP:
         return (
             "the search of the loaded fit ends at a lower likelihood than it starts (change of "
-            f"the deviance {refined.likelihood_drop:+.0f}, limit {limits.drop:+g})"
+            f"the deviance {refined.likelihood_drop:+.0f}, limit {MOST_DROP:+g})"
         )
-    if after > limits.error_ratio * before:
+    if after > MOST_ERROR * before:
         return (
             f"the refined values raise the equation error from {before:.3g} to {after:.3g}, that "
-            f"is, by more than a factor of {limits.error_ratio:g}"
+            f"is, by more than a factor of {MOST_ERROR:g}"
         )
     return ""
 
@@ -134,7 +132,6 @@ def refine(
     values: dict[str, float],
     names: Sequence[str],
     alpha: float,
-    limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> Found:
     """Refine equation-error values by prediction errors, and apply the acceptance tests.
 
@@ -150,15 +147,15 @@ def refine(
         found = attempt(correlated)
         if isinstance(found, str):
             return None, found
-        return found, refusal(found, before, typical_error(active, found.values, alpha), limits)
+        return found, refusal(found, before, typical_error(active, found.values, alpha))
 
     refined, fault = judged(False)
     if refined is not None and fault:
         if refined.stopped:
             fault += "; the search stopped at its greatest number of filter runs"
         elif (
-            abs(refined.whiteness) > limits.whiteness
-            or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
+            abs(refined.whiteness) > MOST_WHITENESS
+            or refined.noise.torque > MOST_NOISE * refined.torque_scatter
         ) and refined.noise.torque < _LOUDEST_SENSOR * refined.torque_scatter:
             # The cause may be correlated noise of the current sensor, and not unmodelled physics.
             other, also = judged(True)
@@ -215,7 +212,6 @@ def equation_noise(
 def corrected(
     found: Found,
     rng: np.random.Generator,
-    settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Found:
     """Correct the bias of an accepted refinement (M33 to M36, M42) and solve the equation of the
@@ -226,7 +222,7 @@ def corrected(
     if found.taken is None:
         return found
     joint = found.taken.joint
-    bias = likelihood_bias(joint, found.taken.names, rng, settings, progress)
+    bias = likelihood_bias(joint, found.taken.names, rng, progress)
     if bias is None:
         return found
     found = _unbiased(found, bias)
@@ -265,7 +261,7 @@ def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))
-    there = search_breakaway_times(begun, HUBER_THRESHOLD)
+    there = search_breakaway_times(begun)
     solved = covariances(there, bias.replicates)
     x = there.origin()
     x[: len(solved.step)] += solved.step
@@ -282,14 +278,13 @@ def refine_recordings(
     model: Model,
     correlated: bool = False,
     progress: Progress = silent,
-    limits: AcceptanceLimits = DEFAULT.acceptance,
     equation_noise: float = 0.0,
 ) -> Refined | str:
     """Return the refined estimate, or a text with the reason why prediction errors do not apply.
 
-    ``correlated``: whether the torque noise has a correlated part. ``progress``: called at the
-    start of each fit. ``limits``: limits of acceptance; a fit that they reject ends early.
-    ``equation_noise``: white torque noise that would explain the unloaded equation error, N m.
+    A fit that acceptance rejects ends early. ``correlated``: whether the torque noise has a
+    correlated part. ``progress``: called at the start of each fit. ``equation_noise``: white torque
+    noise that would explain the unloaded equation error, N m.
     """
     if not names:
         return "every parameter is fixed"
@@ -318,8 +313,8 @@ def refine_recordings(
         # equation error, at its bandwidth, does not show it.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
-        refined = staged.refine_stages(
-            unloaded, loaded, values, model, correlated, progress, limits, equation_noise
+        refined = refine_stages(
+            unloaded, loaded, values, model, correlated, progress, equation_noise
         )
     except np.linalg.LinAlgError:
         return (
@@ -412,10 +407,10 @@ def refine_pieces(
             point, rounds = Point.of([moving], vector, free, model, start.noise), ROUNDS
             if k in begins:
                 point, rounds = replace(point, breakaway_times=begins[k]), 1
-            point = optimise_breakaway_times(point, HUBER_THRESHOLD, rounds)
+            point = optimise_breakaway_times(point, rounds)
             left_out.pop(piece.name, None)
             begins[k] = point.breakaway_times
-            found.append(reduce(point, HUBER_THRESHOLD))
+            found.append(reduce(point))
             evaluations += point.filter.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
         step, length = _step(found)

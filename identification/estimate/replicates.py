@@ -37,10 +37,29 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import both
 from identification.recording import Model
-from identification.result import DEFAULT, ReplicateSettings
 from identification.simulation.drive_loop import Loop, Response, drive_loop, respond
 
 _SEEDS = 1 << 63  # upper limit of the random seeds of the noise
+PAIRS = 3  # noise series in the first round; each series is simulated with both signs
+MOST_PAIRS = 6  # greatest number of noise series, used if the bias is uncertain
+UNCERTAIN = 0.15
+"""Standard error of the bias, in standard errors of the estimate, above which more noise series are
+simulated.
+"""
+TRIED = 9  # greatest number of pairs that are tried; a replicate fails if the filter diverges
+ENOUGH = 2  # least number of pairs that succeed; with fewer pairs the bias is not corrected
+LARGE = 2.0
+"""Bias, in standard errors of the estimate, above which the replicates are simulated again at the
+corrected values.
+"""
+TURNS = 3  # greatest number of rounds of simulation, the first round included
+UNSEEN = 0.5
+"""Logged share of the noise variance (M34) where the recordings do not determine it."""
+HEADROOM = 2.0  # assumed torque limit of the drive over the greatest torque in the recordings
+FARTHEST = 20.0
+"""Step of the estimate of a replicate, in standard deviations, above which the filter counts as
+diverged and the replicate is dropped.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +76,6 @@ def likelihood_bias(
     joint: Point,
     names: Sequence[str],
     rng: np.random.Generator,
-    settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Bias | None:
     """Return the bias of the maximum-likelihood estimate at a point (M35), without the bias of the
@@ -68,32 +86,31 @@ def likelihood_bias(
     replicates.
 
     ``rng``: the generator of the noise is spawned from ``rng``, whose stream does not advance.
-    ``settings``: number of noise series, and criteria for repetitions and dropped replicates.
     """
-    loop = _loop(joint.motions, settings.headroom)
+    loop = _loop(joint.motions)
     if loop is None or OFFSET in joint.free:
         return None
     (source,) = rng.spawn(1)
-    seeds = source.integers(_SEEDS, size=settings.tried).tolist()
-    share = logged_share(joint, loop, source, settings.unseen)
+    seeds = source.integers(_SEEDS, size=TRIED).tolist()
+    share = logged_share(joint, loop, source)
     there, found = joint, None
     replicates: tuple[Replicate, ...] = ()
-    for turn in range(1, settings.turns + 1):
+    for turn in range(1, TURNS + 1):
         noises, pairs = iter(seeds), list[_Pair]()
-        for pair in islice(_pairs(there, loop, share, noises, settings.farthest), settings.pairs):
+        for pair in islice(_pairs(there, loop, share, noises), PAIRS):
             pairs.append(pair)
-            progress(f"simulated replicates, round {turn}", len(pairs) / settings.pairs)
-        if len(pairs) < settings.enough:
+            progress(f"simulated replicates, round {turn}", len(pairs) / PAIRS)
+        if len(pairs) < ENOUGH:
             break
         mean = np.mean(_even(pairs), axis=0)
         size = float(np.max(np.abs(mean) / _deviation(pairs)))
-        last = turn == settings.turns or size < settings.large
-        while last and len(pairs) < settings.most_pairs and _uncertain(pairs, settings.uncertain):
-            more = next(_pairs(there, loop, share, noises, settings.farthest), None)
+        last = turn == TURNS or size < LARGE
+        while last and len(pairs) < MOST_PAIRS and _uncertain(pairs):
+            more = next(_pairs(there, loop, share, noises), None)
             if more is None:
                 break
             pairs.append(more)
-            progress("further simulated replicates", len(pairs) / settings.most_pairs)
+            progress("further simulated replicates", len(pairs) / MOST_PAIRS)
         found = _even(pairs)
         replicates = tuple(r.replicate for pair in pairs for r in pair)
         if last:
@@ -112,31 +129,27 @@ def likelihood_bias(
     )
 
 
-def logged_share(
-    joint: Point, loop: Loop, rng: np.random.Generator, unseen: float = DEFAULT.replicates.unseen
-) -> float:
+def logged_share(joint: Point, loop: Loop, rng: np.random.Generator) -> float:
     """Return the logged share: the share of the variance of the torque noise that is in the logged
     torque and not in the true torque (M34).
 
     The current loop of a drive follows the noise of its current sensor within the bandwidth of the
     loop; this part of the noise moves the joint and is not in the log. The scatter of the logged
     torque beyond the drive's response to this motion is measurement noise. If the response is
-    greater than the noise, the function returns ``unseen``.
-
-    ``unseen``: logged share that is assumed if the recordings do not determine it.
+    greater than the noise, the function returns :data:`UNSEEN`.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
-        return unseen
+        return UNSEEN
     answers = [
-        _response(joint, m, loop, _drawn(joint, m, rng, 1.0, unseen)[0]).torque
+        _response(joint, m, loop, _drawn(joint, m, rng, 1.0, UNSEEN)[0]).torque
         for m in joint.motions
     ]
     answer = torque_noise(
         [replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)]
     )
     if answer > noise:
-        return unseen
+        return UNSEEN
     return float(np.clip((torque_noise(joint.motions) ** 2 - answer**2) / noise**2, 0.0, 1.0))
 
 
@@ -156,14 +169,12 @@ _Pair = tuple[_Scored, _Scored]
 """Two replicates with the same noise realisation, the second with reversed sign."""
 
 
-def _pairs(
-    there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
-) -> Iterator[_Pair]:
+def _pairs(there: Point, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
     """Yield pairs of replicates that both succeed, until the seeds are used up."""
     for noise in noises:
         one, other = both(
-            partial(_step, there, loop, share, noise, 1.0, farthest),
-            partial(_step, there, loop, share, noise, -1.0, farthest),
+            partial(_step, there, loop, share, noise, 1.0),
+            partial(_step, there, loop, share, noise, -1.0),
         )
         if one is not None and other is not None:
             yield one, other
@@ -179,10 +190,10 @@ def _deviation(pairs: Sequence[_Pair]) -> Array:
     return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
 
 
-def _uncertain(pairs: Sequence[_Pair], most: float) -> bool:
-    """Return whether a bias has a standard error above ``most`` of the estimate's."""
+def _uncertain(pairs: Sequence[_Pair]) -> bool:
+    """Return whether a bias is uncertain (:data:`UNCERTAIN`)."""
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
-    return bool(np.max(error / _deviation(pairs)) > most)
+    return bool(np.max(error / _deviation(pairs)) > UNCERTAIN)
 
 
 def _away(joint: Point, step: Array) -> Array:
@@ -198,12 +209,12 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
     return np.array([here[n] - before[n] for n in names])
 
 
-def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
+def _loop(motions: Sequence[Motion]) -> Loop | None:
     """Return the drive loop, or None if it is not determined or a gas generator is the load."""
     recordings = [m.recording for m in motions]
     if any(r.hot_fire or "command" not in r.channels for r in recordings):
         return None
-    limit = headroom * max(float(np.max(np.abs(m.torque))) for m in motions)
+    limit = HEADROOM * max(float(np.max(np.abs(m.torque))) for m in motions)
     return drive_loop(recordings, limit, _step_of_encoder(motions[0]))
 
 
@@ -211,9 +222,7 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(
-    joint: Point, loop: Loop, share: float, seed: int, sign: float, farthest: float
-) -> _Scored | None:
+def _step(joint: Point, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
     """Simulate a replicate and return its scoring step, or None if the filter diverges."""
     rng = np.random.default_rng(seed)
     motions = [
@@ -223,15 +232,13 @@ def _step(
     if len(seen) < len(motions):
         return None
     others = [k for k in joint.free if k != INERTIA]
-    point = search_breakaway_times(
-        Point.of(seen, joint.vector, others, Model(), joint.noise), HUBER_THRESHOLD
-    )
+    point = search_breakaway_times(Point.of(seen, joint.vector, others, Model(), joint.noise))
     point = point.freeing(joint.free)
     point = replace(point, inflation=segment_inflation(point, others))
-    return _scored(point, seed, farthest)
+    return _scored(point, seed)
 
 
-def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
+def _scored(point: Point, noise: int) -> _Scored | None:
     """Return the step of one Fisher scoring iteration (M23), J fixed; None if too far."""
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -251,7 +258,7 @@ def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
     except np.linalg.LinAlgError:
         return None
     step, deviation = -(inverse @ score)[:sought], np.sqrt(np.diag(inverse)[:sought])
-    if np.any(np.abs(step) > farthest * deviation):
+    if np.any(np.abs(step) > FARTHEST * deviation):
         return None
     for j in held:
         step, deviation = np.insert(step, j, 0.0), np.insert(deviation, j, np.inf)

@@ -20,16 +20,18 @@ from identification.model.parameters import (
 )
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import each
-from identification.numerics.least_squares import (
-    Box,
-    Minimum,
-    huber_weight,
-    minimise_within,
-)
+from identification.numerics.least_squares import Box, huber_weight, minimise
 from identification.numerics.spread import Spread, correlation_samples
-from identification.prepare import Prepared, contact_moment, joint_angle, prepare, uniform_grid
-from identification.recording import Bench, Dataset, Model, Recording, RecordingError
-from identification.simulation.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
+from identification.prepare import Prepared, joint_angle, prepare, uniform_grid
+from identification.recording import Bench, Controller, Dataset, Model, Recording
+from identification.simulation.closed_loop import (
+    Inputs,
+    body_of,
+    inputs_of,
+    loop_of,
+    moment_of,
+    simulate,
+)
 
 STEP_S = 2e-3  # greatest integration step in a search, s; at most the sample period
 LEAST_SAMPLES = 20  # least number of samples in a piece
@@ -61,8 +63,11 @@ class Piece:
     inputs: Inputs  # inputs of the simulation, shape (n,)
     angle: Array  # measured angle, rad, shape (n,); the first value is the initial state
     velocity: float  # initial velocity, rad/s
-    # Whether `inputs.added` is the motor voltage; has no effect if there is a controller.
-    volts: bool
+
+    @property
+    def controller(self) -> Controller | None:
+        """Position loop of the recording; None if the motor's voltage is the only input."""
+        return _controller(self.recording)
 
     def predict(
         self, values: Mapping[str, float], motor: Motor, lateness: float, alpha: float
@@ -76,59 +81,36 @@ class Piece:
         if lateness:
             command = np.interp(inputs.time - lateness, inputs.time, inputs.command)
             inputs = replace(inputs, command=command)
-        loop = self._loop(bench)
+        loop = loop_of(self.controller or Controller("voltage", 0.0), bench, self.recording.name)
         body = body_of(values, self.recording, alpha)
         return simulate(body, loop, inputs, float(self.angle[0]), self.velocity, STEP_S).angle
 
-    def _loop(self, bench: Bench) -> Array:
-        controller = self.recording.controller
-        if controller is not None and "command" in self.recording.channels:
-            return loop_of(controller, bench, self.recording.name)
-        if not self.volts:
-            return np.array([0.0, 0.0, math.inf, 1.0, 0.0])
-        assert bench.resistance is not None
-        assert bench.back_emf_constant is not None
-        per_volt = bench.ampere_torque / bench.resistance
-        return np.array(
-            [0.0, 0.0, math.inf, per_volt, per_volt * bench.back_emf_constant * bench.gear_ratio]
-        )
+
+def _controller(recording: Recording) -> Controller | None:
+    """Return the position loop of a recording, or None if it or its command is not known."""
+    return recording.controller if "command" in recording.channels else None
 
 
-def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
-    """Return the pieces of a recording.
-
-    Args:
-        prepared: The recording; without a controller its velocity gives the initial states.
-        horizon: Length of a piece, s. With None, the piece is the whole recording if the controller
-            is known; otherwise the length is :func:`open_horizon`.
+def pieces_of(prepared: Prepared) -> list[Piece]:
+    """Return the pieces of a :func:`predictable` recording: the whole recording if the controller
+    is known, else pieces of :func:`open_horizon`, whose initial states are those of the prepared
+    velocity.
     """
     recording = prepared.recording
     angle = joint_angle(recording)
-    if angle is None:
-        raise RecordingError(
-            f"{recording.name}: the recording has no angle channel, and a prediction starts from "
-            "the measured angle; add a channel `angle` or `motor_angle`"
-        )
-    looped = recording.controller is not None and "command" in recording.channels
-    inputs, volts = (inputs_of(recording), False) if looped else _open_inputs(recording)
-    if horizon is None:
-        horizon = math.inf if looped else open_horizon(prepared)
+    assert angle is not None
+    looped = _controller(recording) is not None
+    inputs = inputs_of(recording) if looped else _voltage_inputs(recording)
     speed = np.interp(recording.time, uniform_grid(recording), prepared.raw_velocity)
-    ends = _ends(recording.time, horizon)
+    ends = _ends(recording.time, math.inf if looped else open_horizon(prepared))
     pieces = []
     for first, last in pairwise(ends):
         span = slice(first, last)
-        part = Inputs(
-            inputs.time[span],
-            inputs.command[span],
-            inputs.scale[span],
-            inputs.added[span],
-            inputs.moment[span],
-        )
+        part = Inputs(**{name: series[span] for name, series in vars(inputs).items()})
         if not np.all(np.isfinite(part.added)):
             continue
         start = 0.0 if looped and first == 0 else float(speed[first])
-        pieces.append(Piece(recording, part, angle[span], start, volts))
+        pieces.append(Piece(recording, part, angle[span], start))
     return pieces
 
 
@@ -151,26 +133,13 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
     return [0, *(int(k) for k in np.searchsorted(time, edges)), len(time)]
 
 
-def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return measured torque or voltage (NaN while off), and whether a voltage."""
-    channels, bench, time = recording.channels, recording.bench, recording.time
-    if "torque" in channels:
-        added, volts = channels["torque"], False
-    elif "current" in channels:
-        added, volts = channels["current"] * bench.ampere_torque, False
-    elif "voltage" in channels and bench.resistance is not None:
-        added, volts = channels["voltage"], True
-        if "enabled" in channels:
-            added = np.where(channels["enabled"] < 0.5, np.nan, added)
-    else:
-        raise RecordingError(
-            f"{recording.name}: the recording has no input for a simulation; add a torque, "
-            "current or voltage channel, or a `command` channel and the `controller` section"
-        )
-    angle = joint_angle(recording)
-    still, ones = np.zeros(len(time)), np.ones(len(time))
-    moment = contact_moment(recording, time, still if angle is None else angle)
-    return Inputs(time, still, ones, added, moment), volts
+def _voltage_inputs(recording: Recording) -> Inputs:
+    """Return the voltage of the motor, NaN while it is off, as the only input."""
+    channels, count = recording.channels, len(recording.time)
+    volts = channels["voltage"]
+    if "enabled" in channels:
+        volts = np.where(channels["enabled"] < 0.5, np.nan, volts)
+    return Inputs(recording.time, np.zeros(count), np.ones(count), volts, moment_of(recording))
 
 
 CONSTANTS = ("torque_constant", "resistance")
@@ -271,11 +240,6 @@ class Coordinates:
         motor = Motor(**{n: math.exp(found.get(n, 0.0)) for n in CONSTANTS})
         return Point(values, motor, found.get(LATENESS, 0.0))
 
-    def prior_rows(self, x: Array) -> Array:
-        """Return the standardised distances from the centres of the priors, shape (k,)."""
-        at = dict(zip(self.names, x, strict=True))
-        return np.array([at[n] / s for n, s in self.prior.items()])
-
 
 def priors(recording: Recording) -> dict[str, float]:
     """Return the standard deviation of the logarithm of each motor constant."""
@@ -311,8 +275,8 @@ def coordinates(
         "resistance": Axis(-1.5, 1.5, 3e-3),
         LATENESS: Axis(0.0, _LATEST * scales.period, 0.03 * scales.period),
     }
-    looped = [p.recording.controller for p in pieces if "command" in p.recording.channels]
-    driven = any(p.volts for p in pieces) or any(c and c.output != "torque" for c in looped)
+    controllers = [p.controller for p in pieces]
+    driven = any(c is None or c.output != "torque" for c in controllers)
     names = ["Mc", "rise", "omega_sf", "sigma_2", "J"]
     names += ["mu_gc", "gear_rise"] if bears_load(rung) else []
     names += [DRIVE_SHARE] if DRIVE_SHARE in SIMULATED[rung] else []
@@ -322,7 +286,7 @@ def coordinates(
     if free and driven:
         prior = priors(pieces[0].recording)
     names = [n for n in names if n not in held] + list(prior)
-    names += [LATENESS] if any(looped) else []
+    names += [LATENESS] if any(controllers) else []
     return Coordinates(rung, tuple(names), axes, model, prior)
 
 
@@ -374,27 +338,18 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
     ``starts``: start points, each of shape (p,); the errors of the first start determine the first
     threshold.
     """
-    alpha = coordinates.model.alpha
-    at_start = errors(pieces, coordinates.point(starts[0]), alpha)
-    threshold = QUADRATIC * float(np.median(np.abs(np.concatenate(at_start))))
-    unit = unit_of(at_start, threshold)
-    begun = LoopFit(coordinates, starts[0], math.inf, (), threshold, unit)
-    coarse = (COARSE_TOLERANCE, COARSE_STEPS)
-    ends = [_searched(pieces, replace(begun, x=x), coarse) for x in starts]
+
+    def begun(x: Array) -> LoopFit:
+        left = errors(pieces, coordinates.point(x), coordinates.model.alpha)
+        threshold = QUADRATIC * float(np.median(np.abs(np.concatenate(left))))
+        return LoopFit(coordinates, x, math.inf, (), threshold, unit_of(left, threshold))
+
+    first = begun(starts[0])
+    ends = [refit(pieces, replace(first, x=x), COARSE_TOLERANCE, COARSE_STEPS) for x in starts]
     best = ends[int(np.argmin([e.cost for e in ends]))]
     # The threshold and the weight of the priors are computed from the errors at the end of a
     # search, not at its start.
-    left = errors(pieces, coordinates.point(best.x), alpha)
-    threshold = QUADRATIC * float(np.median(np.abs(np.concatenate(left))))
-    again = LoopFit(coordinates, best.x, math.inf, (), threshold, unit_of(left, threshold))
-    last = _searched(pieces, again, (TOLERANCE, MOST_STEPS))
-    return replace(again, x=last.x, cost=last.cost, ends=tuple(e.cost for e in ends))
-
-
-def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
-    """Fit other pieces from the end of an earlier fit, with its threshold and unit."""
-    end = _searched(pieces, found, (TOLERANCE, MOST_STEPS))
-    return replace(found, x=end.x, cost=end.cost)
+    return replace(refit(pieces, begun(best.x)), ends=tuple(e.cost for e in ends))
 
 
 def unit_of(found: Sequence[Array], threshold: float) -> float:
@@ -426,31 +381,39 @@ def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:
     return np.array(list(normals.values())), np.array(list(gradients.values()))
 
 
-def _searched(pieces: Sequence[Piece], begun: LoopFit, rule: tuple[float, int]) -> Minimum:
-    """Search from ``begun``; ``rule`` is the tolerance and the greatest number of steps."""
-    c = begun.coordinates
+def refit(
+    pieces: Sequence[Piece],
+    found: LoopFit,
+    tolerance: float = TOLERANCE,
+    most_steps: int = MOST_STEPS,
+) -> LoopFit:
+    """Fit pieces from the end of an earlier fit, with its threshold and unit."""
+    c = found.coordinates
     samples = sum(len(p.angle) for p in pieces)
     threshold = np.concatenate(
-        [np.full(samples, begun.threshold / begun.unit), np.full(len(c.prior), math.inf)]
+        [np.full(samples, found.threshold / found.unit), np.full(len(c.prior), math.inf)]
     )
 
     def residuals(x: Array) -> Array:
-        return np.concatenate([_errors(pieces, c, x) / begun.unit, c.prior_rows(x)])
+        at = dict(zip(c.names, x, strict=True))
+        priors = [at[n] / s for n, s in c.prior.items()]
+        return np.concatenate([_errors(pieces, c, x) / found.unit, priors])
 
     def jacobian(x: Array, here: Array) -> Array:
-        data = _slope(pieces, c, x, here[:samples] * begun.unit) / begun.unit
+        data = _slope(pieces, c, x, here[:samples] * found.unit) / found.unit
         prior = [[(n == m) / s for m in c.names] for n, s in c.prior.items()]
         return np.concatenate([data, np.reshape(prior, (len(c.prior), len(x)))])
 
-    return minimise_within(
+    end = minimise(
         residuals,
         jacobian,
-        begun.x,
-        c.box,
+        found.x,
         threshold=threshold,
-        tolerance=rule[0],
-        most_steps=rule[1],
+        tolerance=tolerance,
+        most_steps=most_steps,
+        box=c.box,
     )
+    return replace(found, x=end.x, cost=end.cost)
 
 
 def _errors(pieces: Sequence[Piece], c: Coordinates, x: Array) -> Array:
@@ -639,7 +602,7 @@ def predictable(recording: Recording) -> bool:
     channels, bench = recording.channels, recording.bench
     if joint_angle(recording) is None or recording.stage == "loaded":
         return False
-    if recording.controller is not None and "command" in channels:
+    if _controller(recording) is not None:
         return True
     constants = (bench.torque_constant, bench.back_emf_constant, bench.resistance)
     return (

@@ -114,17 +114,16 @@ def profiles(
     directions = dict(zip(names, _directions(joint, names), strict=True))
     found: dict[str, tuple[Array, Array, float]] = {}
     if "J" in names:
-        found["J"] = (
-            *_inertia(criterion, directions["J"], deviations["J"] / refined.values["J"]),
-            1.0,
-        )
+        sigma = deviations["J"] / refined.values["J"]
+        found["J"] = (*_inertia(criterion, directions["J"], sigma), 1.0)
     start, _, _ = criterion.normal(criterion.x, criterion.residual)
     for k, name in enumerate(names):
         if name not in found:
             sigma = deviations[name] / (refined.values[name] if name in logarithmic else 1.0)
             shape = _tangent(start, directions[name])
             scale = float(shape @ start @ shape) ** -1 / sigma**2
-            found[name] = (*_walk(criterion, directions[name], shape, sigma), scale)
+            steps, values, _ = _walk(criterion, directions[name], shape, sigma)
+            found[name] = steps, 2.0 * values, scale
         progress((k + 1) / len(names))
     out = []
     least = unpack(joint.parameters(criterion.x), names)
@@ -167,54 +166,37 @@ def _directions(point: Point, names: tuple[str, ...]) -> Array:
     return out
 
 
-def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, rising, and the deviance at each."""
-    steps, deviance = [0.0], [0.0]
+def _walk(
+    criterion: _Criterion, along: Array, shape: Array, sigma: float
+) -> tuple[Array, Array, list[Array]]:
+    """Return steps of ``along`` @ parameters, rising, with criterion and residuals at each."""
+    found = [(0.0, 0.0, criterion.residual)]
     for way in (-1.0, 1.0):
         x, at = criterion.x.copy(), 0.0
         for reach in REACH:
             goal = way * reach * sigma
             x = x.copy()
             x[: criterion.count] += shape * (goal - at)
-            x, _, value = criterion.descend(x, along)
+            x, residual, value = criterion.descend(x, along)
             at = goal
-            steps.append(goal)
-            deviance.append(2.0 * value)
-    order = np.argsort(steps)
-    return np.array(steps)[order], np.array(deviance)[order]
+            found.append((goal, value, residual))
+    steps, values, residuals = zip(*sorted(found, key=lambda step: step[0]), strict=True)
+    return np.array(steps), np.array(values), list(residuals)
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
     """Return steps of log J with deviance Q, and store Q/2 less the least Huber cost."""
-    held, x = criterion.held, criterion.x
-    jacobian = held.jacobian(x, criterion.residual)
-    influence = influence_on_inertia(
-        held.point, instruments(held.point, jacobian), jacobian, criterion.residual
-    )
-    shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
+    held, x, here = criterion.held, criterion.x, criterion.residual
+    jacobian = held.jacobian(x, here)
+    influence = influence_on_inertia(held.point, instruments(held.point, jacobian), jacobian, here)
 
     def equation(residual: Array) -> float:
         return float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD)))
 
-    origin = equation(criterion.residual)
-    steps, costs, errors = [0.0], [0.0], [0.0]
-    for way in (-1.0, 1.0):
-        there, at = x.copy(), 0.0
-        for reach in REACH:
-            goal = way * reach * sigma
-            there = there.copy()
-            there[: criterion.count] += shape * (goal - at)
-            there, residual, cost = criterion.descend(there, along)
-            at = goal
-            steps.append(goal)
-            costs.append(cost)
-            errors.append(equation(residual) - origin)
-    order = np.argsort(steps)
-    t, least, deviance = (
-        np.array(steps)[order],
-        np.array(costs)[order],
-        (np.array(errors)[order] / sigma) ** 2,
-    )
+    shape = _tangent(criterion.normal(x, here)[0], along)
+    t, least, residuals = _walk(criterion, along, shape, sigma)
+    errors = np.array([equation(residual) for residual in residuals]) - equation(here)
+    deviance = (errors / sigma) ** 2
     powers = (t / sigma)[:, None] ** np.arange(1, _DEGREE + 1)
     coefficients = np.linalg.lstsq(powers, 0.5 * deviance - least, rcond=None)[0]
     criterion.curve = np.polynomial.Polynomial(
@@ -298,10 +280,7 @@ class _Equations:
 
     def __init__(self, point: Point, deviations: Array) -> None:
         self.deviations = deviations
-        self.held = point.weighted()
-        self.origin = point.origin()
-        residual = self.held.residuals(self.origin)
-        jacobian = self.held.jacobian(self.origin, residual)
+        self.held, self.origin, residual, jacobian = point.linearised()
         self.begun = (residual, jacobian)
         self.inertia = point.free.index(INERTIA) if INERTIA in point.free else None
         self.influence = np.zeros(0)

@@ -34,6 +34,7 @@ enum { OK = 0, FAILED = 3 };
 typedef void (*logger)(void *environment, int status, const char *category, const char *message);
 typedef bool boolean;
 #define NAMED(name) fmi3##name
+#define STATE(verb) fmi3##verb##FMUState
 #else
 typedef void (*logger)(void *environment, const char *instance, int status, const char *category,
                        const char *message, ...);
@@ -43,6 +44,7 @@ typedef struct {
 } callbacks;
 typedef int boolean;
 #define NAMED(name) fmi2##name
+#define STATE(verb) fmi2##verb##FMUstate
 #endif
 
 typedef struct {
@@ -131,11 +133,32 @@ static int stepped(component *c, double time, double step)
     return OK;
 }
 
-static int kept(component *c, void **state)
+FMI int STATE(Get)(component *c, void **state)
 {
     if (!*state && !(*state = malloc(sizeof(values))))
         return say(c, "no memory");
     memcpy(*state, &c->now, sizeof(values));
+    return OK;
+}
+
+FMI int STATE(Set)(component *c, const void *state)
+{
+    memcpy(&c->now, state, sizeof(values));
+    return OK;
+}
+
+FMI int STATE(Free)(component *c, void **state)
+{
+    (void)c;
+    free(*state);
+    *state = NULL;
+    return OK;
+}
+
+FMI int NAMED(SetDebugLogging)(component *c, boolean on, size_t count,
+                               const char *const categories[])
+{
+    (void)c, (void)on, (void)count, (void)categories;
     return OK;
 }
 
@@ -150,13 +173,14 @@ FMI void NAMED(FreeInstance)(component *c) { free(c); }
 FMI int NAMED(Terminate)(component *c) { return c ? OK : FAILED; }
 FMI int NAMED(ExitInitializationMode)(component *c) { return begun(c); }
 
+#define ABSENT(name) \\
+    FMI int NAMED(name)(component *c) { return say(c, "fmi@VERSION@" #name " is not supported"); }
+#define OTHER_TYPE(type) ABSENT(Get##type) ABSENT(Set##type)
+
 #if @VERSION@ == 3
 
-#define ABSENT(name) \\
-    FMI int fmi3##name(component *c) { return say(c, "fmi3" #name " is not supported"); }
 #define NONE(name) \\
     FMI void *fmi3##name(void) { return NULL; }
-#define OTHER_TYPE(type) ABSENT(Get##type) ABSENT(Set##type)
 
 FMI const char *fmi3GetVersion(void) { return "3.0"; }
 
@@ -168,12 +192,6 @@ FMI void *fmi3InstantiateCoSimulation(const char *name, const char *token, const
     (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early;
     (void)intermediate, (void)count, (void)update;
     return made(token, environment, log);
-}
-
-FMI int fmi3SetDebugLogging(component *c, bool on, size_t count, const char *const categories[])
-{
-    (void)c, (void)on, (void)count, (void)categories;
-    return OK;
 }
 
 FMI int fmi3EnterInitializationMode(component *c, bool tolerant, double tolerance, double start,
@@ -206,22 +224,6 @@ FMI int fmi3DoStep(component *c, double time, double step, bool no_return, bool 
     return status;
 }
 
-FMI int fmi3GetFMUState(component *c, void **state) { return kept(c, state); }
-
-FMI int fmi3SetFMUState(component *c, const void *state)
-{
-    memcpy(&c->now, state, sizeof(values));
-    return OK;
-}
-
-FMI int fmi3FreeFMUState(component *c, void **state)
-{
-    (void)c;
-    free(*state);
-    *state = NULL;
-    return OK;
-}
-
 NONE(InstantiateModelExchange) NONE(InstantiateScheduledExecution) OTHER_TYPE(Float32)
 OTHER_TYPE(Int8) OTHER_TYPE(UInt8) OTHER_TYPE(Int16) OTHER_TYPE(UInt16) OTHER_TYPE(Int32)
 OTHER_TYPE(UInt32) OTHER_TYPE(Int64) OTHER_TYPE(UInt64) OTHER_TYPE(Boolean) OTHER_TYPE(String)
@@ -239,10 +241,6 @@ ABSENT(SerializeFMUState) ABSENT(DeserializeFMUState)
 
 #else
 
-#define ABSENT(name) \\
-    FMI int fmi2##name(component *c) { return say(c, "fmi2" #name " is not supported"); }
-#define OTHER_TYPE(type) ABSENT(Get##type) ABSENT(Set##type)
-
 FMI const char *fmi2GetTypesPlatform(void) { return "default"; }
 FMI const char *fmi2GetVersion(void) { return "2.0"; }
 
@@ -251,12 +249,6 @@ FMI void *fmi2Instantiate(const char *name, int type, const char *token, const c
 {
     (void)name, (void)resources, (void)visible, (void)logging;
     return type == 1 ? made(token, called->environment, called->log) : NULL;
-}
-
-FMI int fmi2SetDebugLogging(component *c, boolean on, size_t count, const char *const categories[])
-{
-    (void)c, (void)on, (void)count, (void)categories;
-    return OK;
 }
 
 FMI int fmi2SetupExperiment(component *c, boolean tolerant, double tolerance, double start,
@@ -283,22 +275,6 @@ FMI int fmi2DoStep(component *c, double time, double step, boolean no_return)
 {
     (void)no_return;
     return stepped(c, time, step);
-}
-
-FMI int fmi2GetFMUstate(component *c, void **state) { return kept(c, state); }
-
-FMI int fmi2SetFMUstate(component *c, const void *state)
-{
-    memcpy(&c->now, state, sizeof(values));
-    return OK;
-}
-
-FMI int fmi2FreeFMUstate(component *c, void **state)
-{
-    (void)c;
-    free(*state);
-    *state = NULL;
-    return OK;
 }
 
 OTHER_TYPE(Integer) OTHER_TYPE(Boolean) OTHER_TYPE(String) ABSENT(CancelStep)

@@ -330,8 +330,8 @@ def machine(
         [outputs["required"] - outputs["drive"] - s.known], {FIRST: node(False)}
     )
     memories = _memories([*outputs.values(), residual])
-    used = {n for n in _everything(outputs, memories) if n.operation == "parameter"}
-    kept = tuple(q for q in quantities.found if quantities.nodes[q.name] in used)
+    used = set(ordered([*outputs.values(), *(m.update for m in memories.values())]))
+    kept = tuple(q for n, q in quantities.found.items() if n in used)
     step = _largest_step(model, bench.moment_arm, ranges)
     return Machine(
         name, motion, kept, outputs, residual, memories, step, ranges, tuple(left_out), source
@@ -343,15 +343,13 @@ class _Quantities:
 
     def __init__(self, intervals: Mapping[str, tuple[float | None, float | None]]) -> None:
         self.intervals = intervals
-        self.found: list[Quantity] = []
-        self.nodes: dict[str, Node] = {}
+        self.found: dict[Node, Quantity] = {}
 
     def __call__(self, key: str, value: float | None, unit: str, words: str) -> Node:
         name = key.replace(".", "_")
-        low, high = self.intervals.get(key, (None, None))
-        self.found.append(Quantity(name, float(value or 0.0), unit, words, low, high))
+        ends = self.intervals.get(key, (None, None))
         made = node(float(value or 0.0), "parameter", (), name)
-        self.nodes[name] = made
+        self.found[made] = Quantity(name, made.value, unit, words, *ends)
         return made
 
 
@@ -359,12 +357,10 @@ def _added(
     symbols: Symbols, effect: Effect, s: _Signals, nominal: Any, shape: Any, coefficients: Any
 ) -> Mapping[str, Node]:
     """Return what an effect adds to each equation."""
-    columns = {e: c for e, c in effect.columns.items() if e in effect.exported}
-    if "torque" not in columns and "breakaway" in columns:
-        columns["torque"] = columns["breakaway"]
-    columns.pop("breakaway", None)
     out = {}
-    for equation, regressors in columns.items():
+    for equation, regressors in effect.corrected.items():
+        if equation == "breakaway":
+            continue
         function = symbols.function(regressors)
         rows = explored(lambda f=function: list(f(s, nominal, shape)))  # type: ignore[misc]
         added = total(c * r for c, r in zip(map(node, coefficients), rows, strict=True))
@@ -400,7 +396,6 @@ def _own(
         out[equation] = symbols.started(at_first, later)
     if "breakaway" in out:
         out.setdefault("torque", out.pop("breakaway"))
-        out.pop("breakaway", None)
     return out
 
 
@@ -453,10 +448,6 @@ def _memories(roots: list[Node]) -> Mapping[str, Node]:
                 found[name] = each
                 pending.append(each.update)
     return found
-
-
-def _everything(outputs: Mapping[str, Node], memories: Mapping[str, Node]) -> list[Node]:
-    return ordered([*outputs.values(), *(m.update for m in memories.values())])
 
 
 def _largest_step(

@@ -47,10 +47,7 @@ def number(value: float) -> str:
 
 
 def statements(
-    roots: Sequence[Node],
-    known: Callable[[Node], str | None],
-    language: Language,
-    prefix: str = "v",
+    roots: Sequence[Node], known: Callable[[Node], str | None], language: Language
 ) -> tuple[list[str], list[str]]:
     """Return statements and the expressions of the roots.
 
@@ -58,7 +55,6 @@ def statements(
         roots: Nodes to write.
         known: Function that returns the text of a node that the program has already, else None.
         language: The language.
-        prefix: Start of the names of variables.
     """
     given = {n: t for n in ordered(list(roots)) if (t := known(n)) is not None}
     every = ordered(list(roots), given)
@@ -75,7 +71,7 @@ def statements(
         text = language.write(each, [texts[a] for a in each.arguments])
         if uses[each] > 1 or len(text) > LONGEST:
             form = language.logical if each.logical else language.declared
-            name = f"{prefix}{len(lines) + 1}"
+            name = f"v{len(lines) + 1}"
             lines.append(form.format(name, _bare(text)))
             text = name
         texts[each] = text

@@ -227,14 +227,6 @@ class Filter:
                 columns = np.argmax(same, axis=1)
                 slopes, widenings = (np.ascontiguousarray(s[:, columns]) for s in found)
                 return slopes, widenings
-        found = self._differentiate(p, times, noise, seeds)
-        self._slopes = place, seeds, found
-        return found
-
-    def _differentiate(
-        self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
-    ) -> tuple[Array, Array]:
-        """Compute the derivatives of :meth:`sensitivities`."""
         self.evaluations += COST_OF_SENSITIVITIES
         slopes, widenings = (np.zeros((self._found.shape[1], len(seeds))) for _ in range(2))
         samples, begins = self.experiment.table_of_samples, np.concatenate(times)
@@ -246,6 +238,7 @@ class Filter:
             ),
             AT_ONCE,
         )
+        self._slopes = place, seeds, (slopes, widenings)
         return slopes, widenings
 
     def _filter(self, lineup: Lineup, p: Array, times: Sequence[Array], noise: Noise) -> None:

@@ -72,6 +72,8 @@ def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
     return tuple(m.static_crossing(static_limit(p, m)) for m in motions)
 
 
+HUBER_THRESHOLD = 4.0
+"""Size of an innovation, in standard deviations, above which it counts as an outlier."""
 _FARTHEST_LOG = 6.0
 """Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
 _TIME_SCALE_S = _TIME_STEP = 1e-3
@@ -220,10 +222,6 @@ class Point:
     def derivatives(
         self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
-        """Return d errors / d x, divided by the deviations, and d log deviations / d x."""
-        return self.sensitivities(x, deviations)
-
-    def sensitivities(self, x: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x, divided by the deviations, and d log deviations / d x.
 
         The derivatives are bounded like the finite differences: in stick-slip a residual depends
@@ -259,6 +257,14 @@ class Point:
         """Return residuals over their deviations as a function of the free vector near here."""
         _, deviations = self.run()
         return Weighted(self, self._inflated(deviations), step)
+
+    def linearised(self) -> tuple[Weighted, Array, Array, BlockArrow]:
+        """Return :meth:`weighted` residuals, the free vector of the point, and the residuals and
+        their derivatives there.
+        """
+        held, x = self.weighted(), self.origin()
+        residual = held.residuals(x)
+        return held, x, residual, held.jacobian(x, residual)
 
     def differences(
         self, x: Array, change: Callable[[Array], Array], step: float = PARAMETER_STEP
@@ -299,7 +305,7 @@ class Weighted:
         default, by finite differences; ``here`` are the residuals at ``x``.
         """
         if self.step == PARAMETER_STEP:
-            return self.point.sensitivities(x, self.deviations)[0]
+            return self.point.derivatives(x, here, self.deviations)[0]
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )
@@ -322,7 +328,7 @@ class Weighted:
         owners, deviations = self.point.owners[rows], self.deviations[rows]
         return NearBreakaways(self.point, heads, rows, here[rows], owners, deviations)
 
-    def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
+    def with_best_breakaways(self) -> tuple[Point, bool]:
         """Return the point with each breakaway time at the best value of a grid around the present
         value, and whether any breakaway time changed.
 
@@ -334,11 +340,11 @@ class Weighted:
         origin, count = self.point.origin(), len(self.point.free)
         near = self.near_breakaways(origin, self.residuals(origin))
         shift = np.zeros(self.point.breakaways)
-        least = near.costs(near.here, threshold) - _LEAST_GAIN
+        least = near.costs(near.here) - _LEAST_GAIN
         for step in _SHIFTS_S:
             there = origin.copy()
             there[count:] += step / _TIME_SCALE_S
-            cost = near.costs(near.residuals(there), threshold)
+            cost = near.costs(near.residuals(there))
             better = cost < least
             least, shift = np.where(better, cost, least), np.where(better, step, shift)
         origin[count:] += shift / _TIME_SCALE_S
@@ -372,9 +378,9 @@ class NearBreakaways:
         """Return the sum over each segment of one value for each affected residual, shape (m,)."""
         return np.asarray(np.bincount(self.owners, values, self.point.breakaways), dtype=np.float64)
 
-    def costs(self, residuals: Array, threshold: float) -> Array:
+    def costs(self, residuals: Array) -> Array:
         """Return the Huber cost of each segment's affected residuals, shape (m,)."""
-        return self.by_segment(huber(residuals, threshold))
+        return self.by_segment(huber(residuals, HUBER_THRESHOLD))
 
 
 class Searched(NamedTuple):
@@ -399,9 +405,7 @@ class Reduced:
     count: int  # number of residuals
 
 
-def optimise_breakaway_times(
-    point: Point, threshold: float = np.inf, rounds: int = ROUNDS
-) -> Point:
+def optimise_breakaway_times(point: Point, rounds: int = ROUNDS) -> Point:
     """Return the point at which each breakaway time minimises its segment's Huber cost; the
     parameters stay fixed.
 
@@ -413,19 +417,19 @@ def optimise_breakaway_times(
     x = point.origin()
     near = held.near_breakaways(x, held.residuals(x))
     residual = near.here
-    cost = near.costs(residual, threshold)
+    cost = near.costs(residual)
     length = np.ones(point.breakaways)
     for _ in range(rounds):
         there = x.copy()
         there[count:] += 1e-3
         along = (near.residuals(there) - residual) / 1e-3
-        weight = huber_weight(residual, threshold)
+        weight = huber_weight(residual, HUBER_THRESHOLD)
         own = near.by_segment(weight * along * along)
         step = -near.by_segment(weight * along * residual) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
         trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
         tried = near.residuals(trial)
-        tried_cost = near.costs(tried, threshold)
+        tried_cost = near.costs(tried)
         better = tried_cost < cost
         x[count:] = np.where(better, trial[count:], x[count:])
         length = np.where(better, 1.0, 0.25 * length)
@@ -434,23 +438,16 @@ def optimise_breakaway_times(
     return replace(point, breakaway_times=point.times(x))
 
 
-def search_breakaway_times(point: Point, threshold: float) -> Point:
+def search_breakaway_times(point: Point) -> Point:
     """Return the point with each breakaway at the least local minimum of its Huber cost."""
-    there, moved = (
-        optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
-    )
-    return optimise_breakaway_times(there, threshold) if moved else there
+    there, moved = optimise_breakaway_times(point).weighted().with_best_breakaways()
+    return optimise_breakaway_times(there) if moved else there
 
 
-def reduce(point: Point, threshold: float = np.inf) -> Reduced:
-    """Return the normal equations at a point, with the breakaway times eliminated (M12).
-
-    ``threshold``: residual size beyond which Huber's weight is below one.
-    """
-    held = point.weighted()
-    x = point.origin()
-    residual = held.residuals(x)
-    found = held.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
+def reduce(point: Point) -> Reduced:
+    """Return the normal equations at a point, with the breakaway times eliminated (M12)."""
+    _, _, residual, jacobian = point.linearised()
+    found = jacobian.eliminated(residual, huber_weight(residual, HUBER_THRESHOLD))
     inside = residual[: len(residual) - point.breakaways]
     return Reduced(
         normal=found.matrix,
@@ -461,8 +458,6 @@ def reduce(point: Point, threshold: float = np.inf) -> Reduced:
     )
 
 
-HUBER_THRESHOLD = 4.0
-"""Size of an innovation, in standard deviations, above which it counts as an outlier."""
 _NOISE_LEVEL_FARTHEST_LOG = 4.0
 _SIMPLEX, _MOST = ((0.0, -1.0), (0.5, -1.0), (0.0, 0.5)), 30
 _SIMPLEX_CORRELATED = (

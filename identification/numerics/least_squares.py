@@ -53,6 +53,21 @@ def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     return np.asarray(found + inverse @ (columns.T @ (target - columns @ found) / length) / length)
 
 
+def unit_columns(columns: Array) -> tuple[Array, Array]:
+    """Return columns of unit norm, shape (n, p), and the scale by which they were divided, (p,); a
+    column of zeros stays.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    return columns / scale, scale
+
+
+def scaled_least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
+    """Return :func:`least_squares` coefficients of columns whose norms may differ by far."""
+    even, scale = unit_columns(columns)
+    return least_squares(even, target, rcond) / scale
+
+
 def equilibrated(normal: Array) -> tuple[Array, Array]:
     """Return a normal matrix scaled to a diagonal of ones, shape (p, p), and the scale of its
     columns, shape (p,).
@@ -82,11 +97,8 @@ def bounded_least_squares(design: Design) -> tuple[Array, float]:
     noise-free data.
     """
     p = design.columns.shape[1]
-    scale = np.linalg.norm(design.columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    reduced: Array = np.asarray(
-        np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r")
-    )
+    even, scale = unit_columns(design.columns)
+    reduced: Array = np.asarray(np.linalg.qr(np.column_stack([even, design.target]), mode="r"))
     matrix, right = reduced[:p, :p], reduced[:p, p]
     rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
     low, high = design.low * scale, design.high * scale
@@ -99,7 +111,9 @@ def bounded_least_squares(design: Design) -> tuple[Array, float]:
 
 _Known = TypeVar("_Known")
 _EASIER, _HARDER = 0.2, 4.0
-_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
+_FIRST_DAMPING, _LAST_DAMPING, _LAST_DAMPING_WITHIN = 1e-3, 1e9, 1e6
+_MOST_STEPS = 25
+_RIDGE = 1e-12  # least damping within bounds, and what is added to it
 
 
 class Slope(Protocol):
@@ -110,6 +124,18 @@ class Slope(Protocol):
 
     def back(self, vector: Array, /) -> Array:
         """Return J.T times a vector of shape (n,), shape (p,)."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds of the parameters, both of shape (p,)."""
+
+    low: Array
+    high: Array
+
+    def clip(self, x: Array) -> Array:
+        """Return the nearest point within the bounds."""
+        return np.clip(x, self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -138,7 +164,7 @@ def huber_weight(residual: Array, threshold: float | Array) -> Array:
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 
 
-def huber_cost(residual: Array, threshold: float) -> float:
+def huber_cost(residual: Array, threshold: float | Array) -> float:
     """Return the sum of the Huber costs (:func:`huber`) of the residuals."""
     return float(np.sum(huber(residual, threshold)))
 
@@ -155,19 +181,22 @@ def minimise(
     jacobian: Callable[[Array, Array], Array | Slope],
     start: Array,
     *,
-    threshold: float,
+    threshold: float | Array,
     tolerance: float,
-    most_steps: int = 25,
+    most_steps: int = _MOST_STEPS,
+    box: Box | None = None,
 ) -> Minimum:
-    """Minimise the Huber cost of ``residuals``.
+    """Minimise the Huber cost of ``residuals``, within bounds if there are any.
 
     Args:
         residuals: Function of x that returns the residuals, shape (n,).
         jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
-        start: Start values, shape (p,).
-        threshold: Residual size up to which the cost is quadratic.
+        start: Start values, shape (p,); values beyond a bound are moved to the bound.
+        threshold: Residual size up to which the cost is quadratic, of all residuals or of each,
+            shape (n,); infinite for least squares.
         tolerance: The search ends when a step decreases the cost by less than this share.
         most_steps: Greatest number of steps that are tried.
+        box: Bounds of x, or None.
     """
 
     def evaluate(x: Array) -> tuple[float, Array]:
@@ -179,10 +208,10 @@ def minimise(
         weight = huber_weight(residual, threshold)
         return _normal(slope, weight), _back(slope, weight * residual)
 
-    found, _ = _descend(
-        evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps
-    )
-    return found
+    def settled(gain: float, cost: float) -> bool:
+        return gain <= tolerance * (cost + gain)
+
+    return _descend(evaluate, linearise, start, settled, most_steps, box)[0]
 
 
 def minimise_deviance(
@@ -192,7 +221,6 @@ def minimise_deviance(
     *,
     threshold: float,
     tolerance: float,
-    most_steps: int = 25,
     reach: float = math.inf,
 ) -> Minimum:
     """Minimise the negative log likelihood of errors whose standard deviations depend on x too
@@ -209,9 +237,8 @@ def minimise_deviance(
         start: Shape (p,).
         threshold: Error over deviation up to which the cost is quadratic.
         tolerance: The search ends when a step decreases the cost by no more than this value.
-        most_steps: Greatest number of steps that are tried.
-        reach: Cost that another search reached. The search ends when ``most_steps`` steps, each
-            with the decrease of the last step, would not reach this cost.
+        reach: Cost that another search reached. The search ends when :data:`_MOST_STEPS` steps,
+            each with the decrease of the last step, would not reach this cost.
     """
 
     def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
@@ -226,15 +253,12 @@ def minimise_deviance(
         return normal, _back(mean, weight * ratio) + _back(spread, 1.0 - weight * ratio**2)
 
     def beaten(gain: float, cost: float) -> bool:
-        return cost - reach > most_steps * gain
+        return cost - reach > _MOST_STEPS * gain
 
-    found, gain = _descend(
-        evaluate,
-        linearise,
-        start,
-        lambda gain, cost: gain <= tolerance or beaten(gain, cost),
-        most_steps,
-    )
+    def settled(gain: float, cost: float) -> bool:
+        return gain <= tolerance or beaten(gain, cost)
+
+    found, gain = _descend(evaluate, linearise, start, settled, _MOST_STEPS)
     return replace(found, beaten=beaten(gain, found.cost))
 
 
@@ -256,6 +280,7 @@ def _descend(
     start: Array,
     settled: Callable[[float, float], bool],
     most_steps: int,
+    box: Box | None = None,
 ) -> tuple[Minimum, float]:
     """Take damped steps until ``settled`` returns true; return the end point and the decrease of
     the cost in the last step.
@@ -268,22 +293,28 @@ def _descend(
         settled: Function of the decrease of the cost in a step, and of the cost after the step; it
             returns whether the search ends.
         most_steps: Greatest number of steps that are tried.
+        box: Bounds of x, or None.
     """
-    x = start.copy()
+    x = start.copy() if box is None else box.clip(start)
+    last, least = (_LAST_DAMPING, 0.0) if box is None else (_LAST_DAMPING_WITHIN, _RIDGE)
     cost, here = evaluate(x)
     damping = _FIRST_DAMPING
     steps, gain = 0, 0.0
     while steps < most_steps:
         normal, gradient = linearise(x, here)
-        normal, scale = equilibrated(normal)
+        even, scale = equilibrated(normal)
+        right = -gradient / scale
         gain = 0.0
-        while steps < most_steps and damping < _LAST_DAMPING:
+        while steps < most_steps and damping < last:
             steps += 1
-            step = np.linalg.solve(normal + damping * np.eye(len(x)), -gradient / scale) / scale
-            value, there = evaluate(x + step)
+            if box is None:
+                trial = x + np.linalg.solve(even + damping * np.eye(len(x)), right) / scale
+            else:
+                trial = box.clip(x + _bounded_step(even, scale, right, damping, x, box))
+            value, there = evaluate(trial)
             if value < cost:
-                gain, x, cost, here = cost - value, x + step, value, there
-                damping *= _EASIER
+                gain, x, cost, here = cost - value, trial, value, there
+                damping = max(damping * _EASIER, least)
                 break
             damping *= _HARDER
         # A cost of NaN is not less than the present cost, so that the gain stays zero.
@@ -292,83 +323,14 @@ def _descend(
     return Minimum(x, cost, steps), gain
 
 
-_BOUNDED_DESCENT_FIRST_DAMPING, _BOUNDED_DESCENT_LAST_DAMPING = 1e-3, 1e6
-_RIDGE = 1e-12
-
-
-@dataclass(frozen=True)
-class Box:
-    """Bounds of the parameters, both of shape (p,)."""
-
-    low: Array
-    high: Array
-
-    def clip(self, x: Array) -> Array:
-        """Return the nearest point within the bounds."""
-        return np.clip(x, self.low, self.high)
-
-
-def minimise_within(
-    residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array, Array], Array],
-    start: Array,
-    box: Box,
-    *,
-    threshold: Array,
-    tolerance: float,
-    most_steps: int = 40,
-) -> Minimum:
-    """Minimise the sum of the Huber costs of ``residuals`` within bounds.
-
-    Args:
-        residuals: Function of x that returns the residuals, shape (n,).
-        jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
-        start: Start values, shape (p,); values beyond a bound are moved to the bound.
-        box: The bounds.
-        threshold: Size up to which each residual's cost is quadratic, shape (n,); infinite for
-            least squares.
-        tolerance: The search ends when a step decreases the cost by less than this share.
-        most_steps: Greatest number of steps that are tried.
+def _bounded_step(
+    even: Array, scale: Array, right: Array, damping: float, x: Array, box: Box
+) -> Array:
+    """Return the step that minimises the damped quadratic model within the bounds, shape (p,);
+    ``even`` and ``right`` are normal matrix and negative gradient of scaled parameters.
     """
-    x = box.clip(start)
-    here = residuals(x)
-    cost = float(np.sum(huber(here, threshold)))
-    damping, steps = _BOUNDED_DESCENT_FIRST_DAMPING, 0
-    while steps < most_steps:
-        slope = jacobian(x, here)
-        weight = huber_weight(here, threshold)
-        normal = slope.T @ (slope * weight[:, None])
-        gradient = slope.T @ (weight * here)
-        gain = 0.0
-        while steps < most_steps and damping < _BOUNDED_DESCENT_LAST_DAMPING:
-            steps += 1
-            trial = box.clip(x + bounded_step(normal, gradient, damping, x, box))
-            there = residuals(trial)
-            value = float(np.sum(huber(there, threshold)))
-            if value < cost:
-                gain, x, cost, here = cost - value, trial, value, there
-                damping = max(damping * _EASIER, _RIDGE)
-                break
-            damping *= _HARDER
-        # A cost of NaN is not less than the present cost, so that the gain stays zero.
-        if not gain > tolerance * (cost + gain):
-            break
-    return Minimum(x, cost, steps)
-
-
-def bounded_step(normal: Array, gradient: Array, damping: float, x: Array, box: Box) -> Array:
-    """Return the step that minimises the damped quadratic model within the bounds, shape (p,).
-
-    Args:
-        normal: Normal matrix, shape (p, p).
-        gradient: Shape (p,).
-        damping: Share of the diagonal that is added to the diagonal.
-        x: The point, shape (p,).
-        box: The bounds.
-    """
-    even, scale = equilibrated(normal)
     factor = np.linalg.cholesky(even + (damping + _RIDGE) * np.eye(len(x)))
-    right = -np.linalg.solve(factor, gradient / scale)
+    right = np.linalg.solve(factor, right)
     low, high = (box.low - x) * scale, (box.high - x) * scale
     step = np.linalg.solve(factor.T, right)
     if np.any(step < low) or np.any(step > high):

@@ -138,7 +138,12 @@ def variance_components(
         factors: Level of each value, by factor. A factor of one level is left out.
         rng: Permutes the quantiles of chi-squared that serve as draws.
     """
-    rows = {name: _indicators(levels) for name, levels in factors.items() if len(set(levels)) > 1}
+    # Columns that mark the rows of each level.
+    rows = {
+        name: np.asarray(np.array(levels)[:, None] == np.unique(levels), dtype=np.float64)
+        for name, levels in factors.items()
+        if len(set(levels)) > 1
+    }
     # Levels can be nested in those of a later factor; of equal factors the first is not separated.
     order = sorted(rows, key=lambda name: rows[name].shape[1], reverse=True)
     merged: list[str] = []
@@ -171,11 +176,6 @@ def variance_components(
     if drawn:
         parts["total"] = sum(drawn.values(), repeatability)
     return {name: _scatter(variance) for name, variance in parts.items()}, tuple(merged)
-
-
-def _indicators(levels: Sequence[str]) -> Array:
-    """Return the matrix whose columns mark the values of each level."""
-    return np.asarray(np.array(levels)[:, None] == np.unique(levels), dtype=np.float64)
 
 
 def _outside(rows: Mapping[str, Array], names: Sequence[str], count: int) -> Array:

@@ -138,8 +138,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
         plain_numbers(lower.yaxis)
     else:
         lower.set_ylim(0.0, 1.1 * float(np.max(costs)) or 1.0)
-    lower.set_ylabel(f"{cost} ({stage.cost_unit})")
-    lower.set_xlabel(f"{count} (1)")
+    lower.set(ylabel=f"{cost} ({stage.cost_unit})", xlabel=f"{count} (1)")
     legend_above(lower, 2)
     made.suptitle(f"Convergence: {_STAGE_TITLES.get(stage.stage, stage.stage)}", fontsize=11)
     return made
@@ -361,8 +360,7 @@ def spread(
     columns = [column for column, name in enumerate(names) if printed.get(name, 0.0) > 0.0]
     stated = [printed[names[c]] for c in columns]
     axis.plot(columns, stated, "_", color=BLACK, markersize=22, mew=2, label="printed")
-    axis.set_yscale("log")
-    axis.set_ylabel("error of the identified value (%)")
+    axis.set(yscale="log", ylabel="error of the identified value (%)")
     axis.set_xticks(range(len(names)), [LABELS.get(name, name) for name in names])
     axis.set_xlabel("parameter")
     axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

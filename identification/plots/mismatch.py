@@ -130,8 +130,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
         label = f"noise floor {band:.2g} {unit}"
         axis.axhspan(-band, band, color=GREY, alpha=0.3, linewidth=0, zorder=3, label=label)
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel(f"measured - model ({unit})")
+    axis.set(xlabel="time (s)", ylabel=f"measured - model ({unit})")
     legend_above(axis, 3)
     return made
 
@@ -226,8 +225,7 @@ def odds(experiments: Sequence[str], each: Sequence[Mapping[str, float]]) -> Fig
         axis.plot(at + off, [after.get(name, 0.0) for after in each], marker="o", label=name)
     axis.set_xticks(at, experiments)
     axis.set_ylim(-0.02, 1.02)
-    axis.set_xlabel("experiment")
-    axis.set_ylabel("probability (1)")
+    axis.set(xlabel="experiment", ylabel="probability (1)")
     legend_above(axis, 3)
     return made
 

@@ -35,8 +35,7 @@ def tracking(time: Array, command: Array, angle: Array, error: Array) -> Figure:
     top.plot(time[few], np.rad2deg(angle[few]), color=VERMILION, linewidth=1.5, label="angle")
     bottom.plot(time[few], 1e3 * error[few], color=VERMILION, linewidth=1.2)
     top.set_ylabel("joint angle (deg)")
-    bottom.set_ylabel("command - angle (mrad)")
-    bottom.set_xlabel("time (s)")
+    bottom.set(ylabel="command - angle (mrad)", xlabel="time (s)")
     legend_above(top, 2)
     return made
 
@@ -68,8 +67,7 @@ def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) ->
     axis.plot(angle_deg, whole, color=GREY, linestyle="--", linewidth=1.0, label="$A_s + A_t$")
     clear = f"plate clear, {clear_deg:.2f} deg"
     axis.axvline(clear_deg, color=BLACK, linestyle=":", linewidth=1.0, label=clear)
-    axis.set_xlabel("valve angle (deg)")
-    axis.set_ylabel("area (mm$^2$)")
+    axis.set(xlabel="valve angle (deg)", ylabel="area (mm$^2$)")
     legend_above(axis, 4)
     return made
 
@@ -130,8 +128,7 @@ def closed_loop(
         axis.set_ylabel(label)
         legend_above(axis, 2)
     last.plot(time[few], current[few], color=BLUE, linewidth=0.8, label="motor current")
-    last.set_ylabel("motor current (A)")
-    last.set_xlabel("time (s)")
+    last.set(ylabel="motor current (A)", xlabel="time (s)")
     right = last.twinx()
     right.plot(time[few], 1e-3 * force[few], color=VERMILION, linewidth=1.2, label="contact force")
     right.set_ylabel("contact force (kN)")

@@ -45,8 +45,7 @@ def bode(curves: Sequence[Curve], unit: str) -> Figure:
         top.axhline(0.0, **ZERO)
     bottom.axhline(-180.0, **ZERO)
     top.set_ylabel(f"gain (dB{unit})")
-    bottom.set_ylabel("phase (deg)")
-    bottom.set_xlabel("frequency (Hz)")
+    bottom.set(ylabel="phase (deg)", xlabel="frequency (Hz)")
     for axis in (top, bottom):
         axis.set_xscale("log")
         plain_numbers(axis.xaxis, (1.0, 2.0, 5.0))
@@ -66,8 +65,7 @@ def nyquist(loops: Mapping[str, OpenLoop]) -> Figure:
     axis.set_xlim(-2.5, 1.5)
     axis.set_ylim(-2.5, 1.5)
     axis.set_aspect("equal")
-    axis.set_xlabel("real part (1)")
-    axis.set_ylabel("imaginary part (1)")
+    axis.set(xlabel="real part (1)", ylabel="imaginary part (1)")
     legend_above(axis, 3)
     return made
 
@@ -78,8 +76,7 @@ def steps(time: Array, responses: Mapping[str, Array]) -> Figure:
     for number, (name, values) in enumerate(responses.items()):
         axis.plot(time, values, label=name, **_style(number, False))
     axis.axhline(1.0, **ZERO)
-    axis.set_xlabel("time (s)")
-    axis.set_ylabel("angle over step (1)")
+    axis.set(xlabel="time (s)", ylabel="angle over step (1)")
     legend_above(axis, 3)
     return made
 

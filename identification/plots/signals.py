@@ -51,8 +51,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     bottom.plot(time, trace.torque[few], label="measured", **MEASURED)
     model = broken(trace.torque_model, moving(trace))[few]
     bottom.plot(time, model, label="model, where it moves", **MODEL)
-    bottom.set_ylabel(f"{torque_word(motion)} ({unit})")
-    bottom.set_xlabel("time (s)")
+    bottom.set(ylabel=f"{torque_word(motion)} ({unit})", xlabel="time (s)")
     for axis in (top, middle, bottom):
         legend_above(axis, 2)
     made.suptitle(f"{trace.recording}: response ({trace.role}, {trace.stage})", fontsize=11)
@@ -71,8 +70,7 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     left.set_xlabel(f"velocity ({unit_on(motion, 'rad/s')})")
     kept = error[used]
     right.hist(kept, bins=60, color=BLUE)
-    right.set_xlabel(label)
-    right.set_ylabel("samples (1)")
+    right.set(xlabel=label, ylabel="samples (1)")
     for axis in (left, right):
         axis.xaxis.set_major_locator(MaxNLocator(5))
     for axis in (top, left):
@@ -110,8 +108,7 @@ def predicted(part: Predicted, unit: str, band: Simulation | None = None) -> Fig
     if part.error.size:
         rms_band(bottom, part.error, unit)
     bottom.axhline(0.0, **ZERO)
-    bottom.set_ylabel(f"measured - model ({unit})")
-    bottom.set_xlabel("time (s)")
+    bottom.set(ylabel=f"measured - model ({unit})", xlabel="time (s)")
     for axis in (top, bottom):
         legend_above(axis, 3)
     return made

@@ -158,9 +158,8 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
     body[INERTIA] += recording.known_inertia
     body[STEADY] = recording.steady_torque
     if recording.pendulum is not None:
-        pendulum = recording.pendulum
-        body[WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
-        body[ZERO] = pendulum.zero
+        body[WEIGHT] = recording.pendulum.moment(recording.bench.gravity)
+        body[ZERO] = recording.pendulum.zero
     if not body[INERTIA] > 0.0:
         raise RecordingError(
             f"{recording.name}: a joint with an inertia of {body[INERTIA]:g} cannot be simulated; "
@@ -196,6 +195,13 @@ def loop_of(controller: Controller, bench: Bench, name: str) -> Array:
     )
 
 
+def moment_of(recording: Recording) -> Array:
+    """Return the contact moment at the recorded angle, or without one at 0, N m, shape (n,)."""
+    angle = joint_angle(recording)
+    place = np.zeros(len(recording.time)) if angle is None else angle
+    return contact_moment(recording, recording.time, place)
+
+
 def inputs_of(recording: Recording) -> Inputs:
     """Return the inputs of the loop, from a recording."""
     controller, channels = recording.controller, recording.channels
@@ -213,13 +219,12 @@ def inputs_of(recording: Recording) -> Inputs:
                 f"channel"
             )
         scale = channels["supply_voltage"]
-    angle = joint_angle(recording)
     return Inputs(
         time=recording.time,
         command=channels["command"],
         scale=scale,
         added=channels.get("feedforward", np.zeros(n)),
-        moment=contact_moment(recording, recording.time, np.zeros(n) if angle is None else angle),
+        moment=moment_of(recording),
     )
 
 
@@ -239,10 +244,7 @@ def simulate(
     n = len(inputs.time)
     angles, speeds, torques = np.zeros(n), np.zeros(n), np.zeros(n)
     angles[0], speeds[0] = angle, velocity
-    time, command, scale, added, moment = (
-        np.ascontiguousarray(column)
-        for column in (inputs.time, inputs.command, inputs.scale, inputs.added, inputs.moment)
-    )
+    time, command, scale, added, moment = map(np.ascontiguousarray, vars(inputs).values())
     closed_loop(time, command, scale, added, moment, body, loop, step, angles, speeds, torques)
     return Response(inputs.time, angles, speeds, torques)
 
@@ -263,9 +265,8 @@ def driven_inputs(recording: Recording) -> Inputs:
     drive = recording.channels[name] * (recording.bench.ampere_torque if name == "current" else 1)
     if name in recording.averaged:
         drive = np.append(drive[1:], drive[-1:])  # the mean over the period that ends at a sample
-    n, angle = len(recording.time), joint_angle(recording)
-    moment = contact_moment(recording, recording.time, np.zeros(n) if angle is None else angle)
-    return Inputs(recording.time, np.zeros(n), np.ones(n), drive, moment)
+    n = len(recording.time)
+    return Inputs(recording.time, np.zeros(n), np.ones(n), drive, moment_of(recording))
 
 
 def replay(
@@ -335,17 +336,10 @@ class Sums:
 
 def pooled(parts: Iterable[Sums]) -> Sums:
     """Return the sums over several recordings."""
-    total = Sums()
-    for s in parts:
-        total = Sums(
-            total.torque_error + s.torque_error,
-            total.torque + s.torque,
-            total.torque_samples + s.torque_samples,
-            total.angle_error + s.angle_error,
-            total.angle_samples + s.angle_samples,
-            total.angle_absolute + s.angle_absolute,
-        )
-    return total
+    total = vars(Sums())
+    for part in parts:
+        total = {name: value + vars(part)[name] for name, value in total.items()}
+    return Sums(**total)
 
 
 def compare(prepared: Prepared, response: Response) -> Sums:

@@ -20,6 +20,7 @@ from identification.model.friction import friction, static_friction
 from identification.model.parameters import INERTIA, pack
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
+from identification.numerics.least_squares import unit_columns
 from identification.recording import Recording
 
 STEPS = 20
@@ -55,9 +56,6 @@ class Response:
 
     angle: Array  # joint angle at each sample, rad
     torque: Array  # mean torque over the period that ends at each sample, N m
-    peak_speed: float  # greatest speed at any instant, rad/s
-    peak_torque: float  # greatest torque, N m
-    peak_following: float  # greatest following error, rad
 
 
 def respond(
@@ -88,7 +86,7 @@ def respond(
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
     lag = 1.0 - math.exp(-period / steps / loop.lag) if loop.lag > 0.0 else 1.0
-    own = [
+    gains = [
         loop.position_gain,
         loop.velocity_gain,
         loop.integral,
@@ -98,15 +96,13 @@ def respond(
         lag,
         *known,
     ]
-    gains = np.array(own)
-    angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
+    angle, torque = np.empty_like(command), np.zeros_like(command)
     lost = np.zeros_like(command) if disturbance is None else disturbance
     if loop.count > 0.0:
         command = np.rint(command / loop.count) * loop.count
-    _follow(
-        command, period, pack(parameters, alpha), moment, gains, steps, lost, angle, torque, peaks
-    )
-    return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
+    p = pack(parameters, alpha)
+    _follow(command, period, p, moment, np.array(gains), steps, lost, angle, torque)
+    return Response(angle, torque)
 
 
 @compiled
@@ -120,9 +116,8 @@ def _follow(
     lost: Array,
     angle: Array,
     torque: Array,
-    peaks: Array,
 ) -> None:
-    """Fill ``angle``, ``torque`` and ``peaks``; the speed by a linearly implicit rule."""
+    """Fill ``angle`` and ``torque``; the speed by a linearly implicit rule."""
     h = period / steps
     static = static_friction(moment, p)
     theta, omega, seen, measured, count = command[0], 0.0, 0.0, command[0], gains[5]
@@ -146,7 +141,6 @@ def _follow(
             given += gains[6] * (drive - given)
             drive = given
             total += drive
-            peaks[1] = max(peaks[1], abs(drive))
             drive += gains[7] - gains[8] * math.sin(theta - gains[9]) - lost[k]
             before = omega
             side = 1.0 if omega > 0.0 else -1.0
@@ -165,10 +159,8 @@ def _follow(
                 )
                 omega = side * max(speed, 0.0)
             theta += 0.5 * h * (before + omega)
-            peaks[0] = max(peaks[0], abs(omega))
         angle[k] = theta
         torque[k] = total / steps
-        peaks[2] = max(peaks[2], abs(command[k] - theta))
 
 
 _MEAN = 4  # number of samples over which torque and regressors are averaged
@@ -238,10 +230,9 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
         rows.append(np.column_stack([own, others]))
         torques.append(torque)
     design, torque = np.concatenate(rows), np.concatenate(torques)
-    scale = np.linalg.norm(design, axis=0)
-    scale[scale == 0.0] = 1.0
-    solution = np.linalg.lstsq(design / scale, torque, rcond=None)[0]
-    left = torque - design / scale @ solution
+    even, scale = unit_columns(design)
+    solution = np.linalg.lstsq(even, torque, rcond=None)[0]
+    left = torque - even @ solution
     return (solution / scale)[:_GAINS], float(np.std(left) / max(float(np.std(torque)), 1e-12))
 
 

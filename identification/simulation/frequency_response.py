@@ -493,18 +493,19 @@ def fit_gains(
         for ahead in (0.0, 0.95)
     ]
 
-    def noise_of(shape: Callable[[Array], Complex], p: Array) -> Array:
+    def weigh(shape: Callable[[Array], Complex], p: Array) -> None:
+        """Weigh by the noise that a fit leaves, where the torque is clear of it."""
+        nonlocal weight
         made = shape(p)
-        return _smooth(np.abs(torque - factor(made) * made) ** 2)
+        noise = _smooth(np.abs(torque - factor(made) * made) ** 2)
+        # What is not well above the noise would bias the gains: the angles are noisy as well.
+        clear = np.abs(torque) ** 2 > _CLEAR * noise
+        weight = clear / np.sqrt(noise) if np.any(clear) else 1.0 / np.sqrt(noise)
 
     def refined(shape: Callable[[Array], Complex], p: Array, low: Any, high: Any) -> Array:
         """Return parameters after fits with the noise that the fit before leaves."""
-        nonlocal weight
         for _ in range(_REWEIGHTED):
-            noise = noise_of(shape, p)
-            # What is not well above the noise would bias the gains: the angles are noisy as well.
-            clear = np.abs(torque) ** 2 > _CLEAR * noise
-            weight = clear / np.sqrt(noise) if np.any(clear) else 1.0 / np.sqrt(noise)
+            weigh(shape, p)
             p = np.asarray(least(shape, p, low, high).x)
         return p
 
@@ -513,9 +514,7 @@ def fit_gains(
     single = refined(alone, np.array([0.3]), (0.0,), (20.0,))
     p = refined(cascade, best.x, low, high)
     # Both are judged where the torque is clear of what the cascade leaves.
-    noise = noise_of(cascade, p)
-    clear = np.abs(torque) ** 2 > _CLEAR * noise
-    weight = clear / np.sqrt(noise) if np.any(clear) else 1.0 / np.sqrt(noise)
+    weigh(cascade, p)
     size = float(np.linalg.norm(torque[weight > 0.0]))
     misfits, factors = [], []
     for made in (alone(single), cascade(p)):
@@ -552,10 +551,8 @@ def _told_apart(gains: Gains, known: Gains | None) -> Gains:
     near = max(others) < _NEAR * min(others)
     if near and np.all(np.abs(seen / stated - 1.0) < _AGREE):
         return dataclasses.replace(gains, position=known.position, reset=known.reset)
-    high, low = max(kp, ki), min(kp, ki)
-    if known.position < known.reset:
-        high, low = low, high
-    return dataclasses.replace(gains, position=high, reset=low)
+    first, second = sorted((kp, ki), reverse=known.position >= known.reset)
+    return dataclasses.replace(gains, position=first, reset=second)
 
 
 def _bands(recording: Recording, highest_Hz: float, step_rad: float) -> tuple[Complex, ...]:
@@ -842,30 +839,22 @@ def propose(seen: Spectra, old: Gains, wanted: Wanted) -> Proposal:
     if "speed" in now and margins(now["speed"]).phase_deg is not None:
         best = _greatest(seen, old, wanted, _speed_candidates(seen, old), "speed") or old
     scaled = (dataclasses.replace(best, position=best.position * f) for f in _FACTORS)
-    found = _greatest(seen, old, wanted, scaled, "position")
+    found, problem = _greatest(seen, old, wanted, scaled, "position"), ""
     if found is None:
-        known = _all_margins(seen, old, best)
-        return Proposal(best, known, "no gains among those tried have the wanted margins")
-    if wanted.bandwidth_Hz is None:
-        return Proposal(found, _all_margins(seen, old, found), "")
-    highest = _all_margins(seen, old, found)["position"].crossover_Hz
-    assert highest is not None
-    if highest < wanted.bandwidth_Hz:
-        return Proposal(
-            found,
-            _all_margins(seen, old, found),
-            f"with these margins the position loop reaches {highest:.3g} Hz",
-        )
-    # The gain of the position loop at its new crossover must be one.
-    loop = with_gains(seen, old, found)["position"]
-    f, gain, _ = _dense(loop)
-    down = 10.0 ** (-float(np.interp(wanted.bandwidth_Hz, f, gain)) / 20.0)
-    slower = dataclasses.replace(found, position=found.position * down)
-    return Proposal(slower, _all_margins(seen, old, slower), "")
-
-
-def _all_margins(seen: Spectra, old: Gains, new: Gains) -> dict[str, Margins]:
-    return {name: margins(loop) for name, loop in with_gains(seen, old, new).items()}
+        found, problem = best, "no gains among those tried have the wanted margins"
+    elif wanted.bandwidth_Hz is not None:
+        loop = with_gains(seen, old, found)["position"]
+        highest = margins(loop).crossover_Hz
+        assert highest is not None
+        if highest < wanted.bandwidth_Hz:
+            problem = f"with these margins the position loop reaches {highest:.3g} Hz"
+        else:
+            # The gain of the position loop at its new crossover must be one.
+            f, gain, _ = _dense(loop)
+            down = 10.0 ** (-float(np.interp(wanted.bandwidth_Hz, f, gain)) / 20.0)
+            found = dataclasses.replace(found, position=found.position * down)
+    known = {name: margins(loop) for name, loop in with_gains(seen, old, found).items()}
+    return Proposal(found, known, problem)
 
 
 def _speed_candidates(seen: Spectra, old: Gains) -> Iterator[Gains]:

@@ -289,6 +289,13 @@ def _frozen(series: Array) -> Array:
     return series
 
 
+def has_winding_voltage(view: View) -> bool:
+    """Whether the voltage equation (eq. 1) can be computed from a recording."""
+    bench = view.recording.bench
+    known = (view.voltage, view.current, bench.resistance, bench.back_emf_constant)
+    return all(value is not None for value in known)
+
+
 def winding_voltage(view: View) -> Array:
     """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown: 0."""
     assert view.current is not None

@@ -69,8 +69,7 @@ def predicted_voltage(view: View, model: Array) -> Predicted:
     What samples at instants leave unknown (:data:`INSTANTS`) is fitted in each recording, as its
     size depends on the time stamps of the recording.
     """
-    if view.voltage is None or view.current is None:
-        raise ValueError(f"{view.recording.name}: no voltage, or no current beside it")
+    assert view.voltage is not None
     lit = view.low_pass.untouched(np.isnan(view.voltage))
     found = predicted(view, "voltage", np.nan_to_num(view.voltage), model, lit)
     columns = np.stack([view.low_pass(make(view))[lit] for make in INSTANTS.values()], axis=1)

@@ -112,9 +112,11 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
         cutoff: Cut-off of the filter, Hz.
     """
     reach = round(0.5 * rate / cutoff)
-    found = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
+    size = 2 * reach + 1
+    swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
+    found = swing >= STEADY_SHARE * np.abs(velocity)
     if rate >= 2 * QUICK_SAMPLES * BEYOND_FILTER * cutoff:
-        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, size)
         found |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     return np.asarray(found)
 
@@ -122,16 +124,7 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
 def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
     """Return the sign of friction: the direction of motion, or at rest the sign of the torque."""
     here = np.where(still, np.sign(torque), np.sign(velocity))
-    known = np.maximum.accumulate(np.where(here != 0.0, np.arange(len(here)), 0))
-    return np.asarray(here[known])
-
-
-def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value within ``reach`` samples of each sample."""
-    size = 2 * reach + 1
-    return np.asarray(
-        ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
-    )
+    return np.asarray(here[last_marked(here != 0.0)])
 
 
 def reversals(sense: Array) -> BoolArray:
@@ -139,22 +132,9 @@ def reversals(sense: Array) -> BoolArray:
     return np.concatenate(([False], sense[1:] != sense[:-1]))
 
 
-def time_since(time: Array, marks: BoolArray) -> Array:
-    """Return the time since the last marked sample, or else since the first sample."""
-    last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
-    return np.asarray(time - time[last])
-
-
-def last_rest_duration(rest: Array, still: BoolArray) -> Array:
-    """Return the duration of the last rest at each sample; held until the next rest begins."""
-    last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
-    return np.asarray(rest[last])
-
-
-def travel(angle: Array, turned: BoolArray) -> Array:
-    """Return the distance of the angle from the last reversal, or else the first sample."""
-    last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
-    return np.asarray(np.abs(angle - angle[last]))
+def last_marked(marks: BoolArray) -> NDArray[np.int64]:
+    """Return the last marked sample up to each sample, or else the first sample, shape (m,)."""
+    return np.maximum.accumulate(np.where(marks, np.arange(len(marks)), 0))
 
 
 LEAST_STEADY = 0.1
@@ -279,8 +259,12 @@ class View:
         return voltage_is_computed(self.recording)
 
     def command_delay_error(self, late_s: float) -> Array:
-        """Return the error of the torque of a computed voltage for a delay of the angles, N m."""
-        return command_delay_error(self, late_s)
+        """Return the torque error because the voltage's command is not delayed, N m, shape (m,)."""
+        recording, law = self.recording, _law(self.recording, late_s)
+        volts = np.where(np.isfinite(recording.channels["voltage"]), law, np.nan)
+        together = replace(recording, channels={**recording.channels, "voltage": volts})
+        here, there = (drive_torque(r, self.time, self.velocity) for r in (recording, together))
+        return np.asarray(here - there)
 
     def with_velocity(self, velocity: Array) -> View:
         """Return the view with another velocity of the joint."""
@@ -396,8 +380,8 @@ def _view(
     stopped = still | turned
     hasty = unsteady(velocity, quick, rate, cutoff)
     late = widened(irregular(recording.time, grid), margin)
-    rest = time_since(grid, ~still)
-    reversal = time_since(grid, turned)
+    rest = np.asarray(grid - grid[last_marked(~still)])
+    last = last_marked(turned)
     motor = _motor(recording, grid, angle)
     return View(
         recording=recording,
@@ -415,9 +399,9 @@ def _view(
         moment=contact_moment(recording, grid, angle),
         sense=senses,
         still=still,
-        rest_time=last_rest_duration(rest, still),
-        reversal_time=reversal,
-        reversal_travel=travel(angle, turned),
+        rest_time=np.asarray(rest[last_marked(still)]),
+        reversal_time=np.asarray(grid - grid[last]),
+        reversal_travel=np.asarray(np.abs(angle - angle[last])),
         motor=motor,
         motor_speed=_speed(recording, motor, velocity, cutoff),
         lag=_lag(recording, grid),
@@ -526,11 +510,6 @@ def sharpness(view: View) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_N_M) ** 2))
 
 
-def torque_per_ampere(view: View) -> float:
-    """Return the joint torque of one motor ampere, N m/A."""
-    return view.recording.bench.ampere_torque
-
-
 def lacks_common_origin(views: Sequence[View]) -> bool:
     """Whether only the speed was recorded, so that angles have no common origin."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
@@ -612,15 +591,6 @@ def voltage_is_computed(recording: Recording) -> bool:
         return False
     greatest = float(np.max(np.abs(volts[known])))
     return float(np.max(np.abs(volts - _law(recording, 0.0))[known])) <= AS_COMPUTED * greatest
-
-
-def command_delay_error(view: View, late_s: float) -> Array:
-    """Return the torque error because the voltage's command is not delayed, N m, shape (m,)."""
-    recording = view.recording
-    volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
-    together = replace(recording, channels={**recording.channels, "voltage": volts})
-    here, there = (drive_torque(r, view.time, view.velocity) for r in (recording, together))
-    return np.asarray(here - there)
 
 
 def delayed_view(view: View, late_s: float) -> View:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate import searches
 from identification.estimate.covariance import (
     _scatter,
     bound,
@@ -22,7 +23,6 @@ from identification.model.parameters import INDEX, pack
 from identification.numerics.compiled import compiled
 from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Bench, Model, Recording
-from identification.result import DEFAULT
 
 from .synthetic import TRUTH
 
@@ -32,9 +32,6 @@ COUNT_RAD = 2.0 * math.pi / 409600.0
 NOISE_N_M = 0.1
 PERIOD_S, FINE = 1e-3, 10
 SEEDS = 5
-NEVER_REJECTS = replace(
-    DEFAULT.acceptance, chi2=math.inf, noise_ratio=math.inf, repeating_share=math.inf
-)
 
 
 @compiled
@@ -84,11 +81,14 @@ def from_the_model(seed: int, duration: float = 10.0) -> Recording:
 @pytest.fixture(scope="module")
 def estimates() -> list[Refined]:
     out = []
-    for seed in range(SEEDS):
-        m = motion(from_the_model(seed))
-        assert m is not None
-        start = {name: 1.01 * v for name, v in VALUES.items()}
-        out.append(refine_stages([m], [], start, Model(), limits=NEVER_REJECTS))
+    with pytest.MonkeyPatch.context() as never_rejects:
+        for limit in ("MOST_CHI2", "MOST_NOISE", "MOST_REPEATING"):
+            never_rejects.setattr(searches, limit, math.inf)
+        for seed in range(SEEDS):
+            m = motion(from_the_model(seed))
+            assert m is not None
+            start = {name: 1.01 * v for name, v in VALUES.items()}
+            out.append(refine_stages([m], [], start, Model()))
     return out
 
 

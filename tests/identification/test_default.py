@@ -12,12 +12,12 @@ from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.equation_error import averaging
 from identification.estimate.paper_method import identify_paper
 from identification.estimate.refinement import equation_noise, refine_recordings, refusal
-from identification.estimate.searches import refine_stages
+from identification.estimate.searches import MOST_ERROR, refine_stages
 from identification.filter.likelihood import torque_noise
 from identification.filter.segments import motion
 from identification.prepare import evened, prepare, resting
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
-from identification.result import AcceptanceLimits, Identification
+from identification.result import Identification
 from identification.signals import quantum
 
 from .diagnosis.benches import campaign
@@ -114,7 +114,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert wrong.noise.torque > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
     assert "torque noise" in refusal(wrong, 1.0, 1.0)
-    for accepted in ((1.0, 1.0), (1.0, 1.2), (1.0, 1.4, AcceptanceLimits(error_ratio=1.5))):
+    for accepted in ((1.0, 1.0), (1.0, 1.2), (1.0, MOST_ERROR)):
         assert refusal(right, *accepted) == ""
     for change, after, key in (
         ({"whiteness": 0.2}, 1.0, "correlation of +0.20"),

@@ -16,7 +16,6 @@ from identification.numerics.least_squares import (
     bounded_least_squares,
     minimise,
     minimise_deviance,
-    minimise_within,
 )
 from identification.recording import Array
 
@@ -104,14 +103,14 @@ def slope(x: Array, _here: Array) -> Array:
 
 
 def within(data: Array, low: list[float], threshold: float = np.inf) -> Array:
-    return minimise_within(
+    return minimise(
         lambda x: curve(x) - data,
         slope,
         np.array([1.0, 0.3, 0.1]),
-        Box(np.array(low), np.array([9.0, 9.0, 2.0])),
         threshold=np.full(len(T), threshold),
         tolerance=1e-12,
         most_steps=200,
+        box=Box(np.array(low), np.array([9.0, 9.0, 2.0])),
     ).x
 
 

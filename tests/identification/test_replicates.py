@@ -23,7 +23,6 @@ from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, u
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
 from identification.recording import Model, Recording
-from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
 from .synthetic import TRUTH
@@ -54,12 +53,16 @@ def at(
     """Return the joint fit at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
     begun = Point.of(motions, pack(values, 2.0), [], Model(), Noise(torque_noise(motions)))
-    point, _ = (
-        replace(begun, noise=likeliest_noise(begun))
-        .weighted()
-        .with_best_breakaways(HUBER_THRESHOLD)
-    )
+    point, _ = replace(begun, noise=likeliest_noise(begun)).weighted().with_best_breakaways()
     return point.freeing([INDEX[n] for n in names])
+
+
+def bias_of_one_turn(point: Point, names: tuple[str, ...]) -> Bias:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(replicates, "TURNS", 1)
+        bias = likelihood_bias(point, names, chance())
+    assert bias is not None
+    return bias
 
 
 @cache
@@ -67,9 +70,7 @@ def sticky_with_bias(seed: int) -> tuple[Point, Bias]:
     """Return a sticky bench at the true values, and the likelihood's bias there."""
     point = at(STICKY, sticky(seed))
     # The true values are at hand.
-    bias = likelihood_bias(point, NAMES, chance(), ReplicateSettings(turns=1))
-    assert bias is not None
-    return point, bias
+    return point, bias_of_one_turn(point, NAMES)
 
 
 SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
@@ -210,7 +211,7 @@ def test_the_mean_of_two_equations_has_no_more_variance_than_either(one, other):
 
 def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow():
     point = at(STICKY, [beginning(r, 12.0) for r in sticky(0)[:1]], SYSTEM)
-    bias = likelihood_bias(point, SYSTEM, chance(), ReplicateSettings(turns=1))
+    bias = bias_of_one_turn(point, SYSTEM)
     assert len({r.noise for r in bias.replicates}) >= 3
     j = point.free.index(INERTIA)
     plain, found = covariances(point), covariances(point, bias.replicates)

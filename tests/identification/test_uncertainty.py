@@ -216,7 +216,7 @@ def test_a_breakaway_in_a_wrong_place_is_found_again(refined: Refined) -> None:
     held, (begun,) = refined.joint.weighted(), refined.joint.breakaway_times
     late = begun + np.where(np.arange(len(begun)) == 2, 1.5e-3, 0.0)
     there = replace(held, point=replace(refined.joint, breakaway_times=(late,)))
-    found, moved = there.with_best_breakaways(HUBER_THRESHOLD)
+    found, moved = there.with_best_breakaways()
     assert moved
     np.testing.assert_allclose(found.breakaway_times[0], begun, atol=2.6e-4)
     assert abs(found.breakaway_times[0][2] - begun[2]) < 1e-4

@@ -15,7 +15,7 @@ from identification.effects.effect import Effect
 from identification.numerics.series import delayed_series
 from identification.recording import Bench, Controller, Dataset, Model, Recording
 from identification.signals import central_difference, values_at_ends
-from identification.views.view import command_delay_error, views, voltage_is_computed
+from identification.views.view import views, voltage_is_computed
 
 from .benches import campaign, honest, nominal_fit
 
@@ -43,7 +43,7 @@ def test_only_the_command_in_a_computed_voltage_is_early() -> None:
     (view,) = views([_recording()], 10.0)
     seen = view.time - LATE_S
     expected = 0.5 / 4.0 * (_law(view.time, seen) - _law(seen, seen))
-    off = command_delay_error(view, LATE_S) - expected
+    off = view.command_delay_error(LATE_S) - expected
     assert np.max(np.abs(off[2:])) < 2e-3 * np.max(np.abs(expected))
 
 
