@@ -126,7 +126,7 @@ class Cycle:
         self._latch.ask()
 
     def end(self) -> None:
-        """Open the safety latch at the regular end of a stage; no command can follow before a reset."""
+        """Open the safety latch at the regular end of a stage; a reset must precede commands."""
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
