@@ -22,7 +22,7 @@ import numpy as np
 
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.table import EXACT, Array, Table, open_binary
+from rig.sources.table import EXACT, Array, Column, Table, open_binary
 
 BLANKS = " "  # symbol for the delimiter of aligned columns: any number of blanks or tabs
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
@@ -225,12 +225,12 @@ class DelimitedTable(Table):
         self._delimiter = options.delimiter or _guess_delimiter(
             [text for _, text in head], options.decimal
         )
-        self._lay_out(head)
+        self._detect(head)
         above = split(skipped[-1], self._delimiter) if skipped else []
         if len(above) == len(self.names) > 1 and _numbers(above, self._decimal):
             self.note("the last skipped line contains numbers: check read.skip_rows")
 
-    def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
+    def _detect(self, head: Sequence[tuple[int, str]]) -> None:
         """Detect header, units, row names and columns of dates in the first lines."""
         line, text = head[0]
         cells = split(text, self._delimiter)
@@ -473,6 +473,10 @@ class Stamp(int):
     """Time stamp, ns; its column is read as seconds since the first stamp of the topic."""
 
 
+class Duration(dict[str, Any]):
+    """Seconds and nanoseconds of a duration; its column is in s."""
+
+
 def parse(text: str) -> Any:
     """Parse JSON; ValueError also for a key that an object has twice, or RecursionError."""
     return json.loads(text, object_pairs_hook=_object)
@@ -522,17 +526,18 @@ def number(value: object) -> float | None:
     return None
 
 
-def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp in an object of seconds and nanoseconds, or None."""
+def _time_in(value: Mapping[str, object]) -> float | None:
+    """Return the time stamp or duration in an object of seconds and nanoseconds, or None."""
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
         return None
     whole, rest = (parts[key] for key in sorted(parts, key=lambda key: key[0] == "n"))
-    return Stamp(whole * 10**9 + rest)
+    time_ns = whole * 10**9 + rest
+    return time_ns / 1e9 if isinstance(value, Duration) else Stamp(time_ns)
 
 
 def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield dotted name and value of every number inside a JSON message.
+    """Yield dotted name and value of every number inside a message.
 
     An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds gives one
     additional column, named by both keys; a date in text is one column.
@@ -540,8 +545,8 @@ def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
     if isinstance(value, dict):
         for key, child in value.items():
             yield from numbers(child, f"{prefix}.{key}" if prefix else str(key))
-        if prefix and (stamp := stamp_of(value)) is not None:
-            yield prefix, stamp
+        if prefix and (time := _time_in(value)) is not None:
+            yield prefix, time
     elif isinstance(value, list):
         if len(value) <= LONGEST_LIST:
             for index, child in enumerate(value):
@@ -561,27 +566,19 @@ _Rows = tuple[str, Sequence[Mapping[str, float]]]
 class RowsTable(Table):
     """Rows of numbers by name, in one or several time bases, with NaN for what a row lacks."""
 
-    def _lay_out(
-        self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
-    ) -> None:
-        names, self._bases = zip(*bases, strict=True)
-        self._columns = [
-            (base, name)
-            for base, rows in enumerate(self._bases)
+    def _take_rows(self, bases: Iterable[_Rows], prefixed: bool) -> None:
+        base_names, self._bases = zip(*bases, strict=True)
+        columns = [
+            Column(f"{place}.{name}" if prefixed and place else name, name, base=base)
+            for base, (place, rows) in enumerate(zip(base_names, self._bases, strict=True))
             for name in dict.fromkeys(name for row in rows for name in row)
         ]
-        self.base_names = names
-        self.bases = tuple(base for base, _ in self._columns)
-        self.names = tuple(
-            f"{self.base_names[base]}.{name}" if prefixed and self.base_names[base] else name
-            for base, name in self._columns
-        )
+        self._lay_out(columns, base_names)
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
-            base, name = self._columns[k]
-            values, note = series(self._bases[base], name)
+            values, note = series(self._bases[self.bases[k]], self._sources[k])
             if note:
                 self.note(f"`{self.names[k]}`: {note}")
             found.append(values)
@@ -620,7 +617,7 @@ class JsonTable(RowsTable):
             )
         if words:
             self.note(f"left out: {words}")
-        self._lay_out(tables, len(tables) > 1)
+        self._take_rows(tables, len(tables) > 1)
         self.base_names = tuple(
             f"{place or 'the file'} ({len(rows)} rows)" for place, rows in tables
         )
@@ -726,7 +723,7 @@ class JsonLinesTable(RowsTable):
             for line, text in enumerate(stream, start=1):
                 if text.strip():
                     self._take(line, text)
-        self._lay_out([("", self._rows)], False)
+        self._take_rows([("", self._rows)], False)
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")
 
