@@ -19,7 +19,7 @@ from rig.planning.predicted_load import friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
 from rig.runs.decimation import Decimation
 from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_TOPIC, decode_samples
-from rig.runs.mcap.reader import START, DamageError, Tail, require_sample
+from rig.runs.mcap.reader import START, DamageError, RecordFile, require_samples
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 
@@ -122,9 +122,9 @@ class Growing:
         """Read the records added since the last call; raises OSError, DamageError."""
         found: dict[str, list[bytes]] = {SAMPLE_TOPIC: [], EVENT_TOPIC: []}
         begun, more = self._offset, False
-        with Tail(self._path) as tail:
+        with RecordFile(self._path) as recording:
             while begun is not None and self._offset is not None and not more:
-                piece = tail.at(self._offset)
+                piece = recording.at(self._offset)
                 if piece is None:
                     break
                 for topic, message in piece.messages:
@@ -139,8 +139,7 @@ class Growing:
 def _decoded(samples: list[bytes]) -> dict[str, Array]:
     if not samples:
         return {}
-    for sample in samples:
-        require_sample(sample)
+    require_samples(samples)
     return decode_samples(b"".join(samples))
 
 

@@ -185,31 +185,33 @@ def propose(
     bench: SimulatedBench,
     weighed: Weighed,
     bandwidth_Hz: float,
-    rng: np.random.Generator,
+    seed: int,
+    number: int,
     progress: Progress,
-    name: str,
     most_s: float = math.inf,
     avoided: Collection[str] = (),
     cover: bool = False,
     given_up: Collection[str] = (),
 ) -> Choice:
-    """Return the next experiment.
+    """Return the experiment that separates the open hypotheses or, with ``cover``, one that shows
+    what no recording has shown.
 
     Args:
         bench: The bench.
         weighed: Hypotheses of the recordings so far.
         bandwidth_Hz: Bandwidth of the diagnosis.
-        rng: Random generator of the parts.
+        seed: Seed of the investigation.
+        number: Number of the experiment, in its name; its parts are drawn by it and the seed.
         progress: Called with the present step and the share that is done.
-        name: Name of the sequence.
         most_s: Longest time that the experiment may take, s.
         avoided: Names of stages that have tripped.
-        cover: Whether to show what no recording has shown, instead of separating hypotheses.
+        cover: Whether to cover instead of separating.
         given_up: Names of rivals that are not separated any more.
     """
     weighed = weighed._replace(
         hypotheses=tuple(h for h in weighed.hypotheses if h.name not in given_up)
     )
+    rng = np.random.default_rng([seed, number])
     design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
     names = [h.name for h in design.hypotheses]
     indistinct: dict[tuple[str, str], float] = {}
@@ -225,7 +227,7 @@ def propose(
     apart = {} if cover else design.apart(chosen)
     if not cover and max(z for (a, _), z in apart.items() if a == 0) < WORTH_WHILE:
         return Choice(None, indistinct)
-    document = as_document(name, [c.part for c in chosen])
+    document = as_document(f"experiment-{number}", [c.part for c in chosen])
     seconds, changes = design.seconds(chosen), weight_changes(document.value.stages)
     motion = sum(s.repeats * s.duration_s for s in document.value.stages)
     weights = "no weight" if not changes else f"{changes} weight{'s' if changes > 1 else ''}"

@@ -185,10 +185,10 @@ def in_order(parts: Sequence[Part]) -> list[Part]:
     return sorted(parts, key=lambda part: part.weight_kg)
 
 
-def as_document(name: str, parts: Sequence[Part], head: str = "") -> Document[Stages]:
+def as_document(name: str, parts: Sequence[Part]) -> Document[Stages]:
     """Return an experiment as a sequence, as read from its file."""
     stages = tuple(stage for part in in_order(parts) for stage in part.stages)
-    text = sequence_text(Stages(sequence=1, name=name, stages=stages), head)
+    text = sequence_text(Stages(sequence=1, name=name, stages=stages))
     return located_text(Path(f"{name}.yaml"), text, Stages)
 
 

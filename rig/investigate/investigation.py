@@ -32,7 +32,7 @@ from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence as Stages
 from rig.config.sequence import load_sequence, sequence_text
-from rig.investigate.choice import WORTH_WHILE, Choice, Progress, Proposal, propose, spoken
+from rig.investigate.choice import WORTH_WHILE, Progress, Proposal, propose, spoken
 from rig.investigate.confirmation import Confirmation, compare, predict
 from rig.investigate.experiments import SimulatedBench, bench_seconds, weight_changes
 from rig.planning.plan import make_plan
@@ -237,21 +237,6 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
     return Dataset(tuple(recordings))
 
 
-def judge(
-    folders: Sequence[Path],
-    seed: int,
-    question: Sequence[str],
-    progress: Progress,
-    refine: bool = False,
-) -> Judgement:
-    """Diagnose all runs together, and weigh the hypotheses.
-
-    Raises:
-        InputError: The recordings cannot be diagnosed.
-    """
-    return judge_recordings(read_runs(folders), folders[0], seed, question, progress, refine)
-
-
 def judge_recordings(
     dataset: Dataset,
     source: Path,
@@ -260,7 +245,19 @@ def judge_recordings(
     progress: Progress,
     refine: bool = False,
 ) -> Judgement:
-    """Diagnose recordings as :func:`judge`; ``source`` is the place of the first of them."""
+    """Diagnose recordings together, and weigh the hypotheses.
+
+    Args:
+        dataset: The recordings.
+        source: Place of the first of them.
+        seed: Seed of the investigation.
+        question: Names of the only hypotheses, or empty.
+        progress: Called with the present step and the share that is done.
+        refine: Whether to refine the constants.
+
+    Raises:
+        InputError: The recordings cannot be diagnosed.
+    """
     searches: list[Search] = []
     outcome = diagnose_dataset(
         dataset,
@@ -427,8 +424,11 @@ class Investigation:
         self.state.save(self._folder)
 
     def judged(self, refine: bool = False) -> Judgement:
-        """Diagnose all runs but the confirming one; see :func:`judge`."""
-        return judge(self._done(), self.state.seed, self.state.question, self._progress, refine)
+        """Diagnose all runs but the confirming one; see :func:`judge_recordings`."""
+        runs, state = self._done(), self.state
+        return judge_recordings(
+            read_runs(runs), runs[0], state.seed, state.question, self._progress, refine
+        )
 
     def recordings(self, folder: Path) -> Dataset:
         """Return the recordings of a run."""
@@ -546,9 +546,10 @@ class Investigation:
     def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
         """Return an experiment that separates, or one that covers; note what none separates."""
         state = self.state
-        chosen = next_experiment(
+        chosen = propose(
             self.bench,
-            judged,
+            judged.weighed,
+            judged.diagnosis.fit.bandwidth_Hz,
             state.seed,
             len(state.experiments) + 1,
             self._progress,
@@ -648,25 +649,6 @@ def given_run(folder: Path) -> Experiment:
     return Experiment(
         str(folder.absolute()), "", "a run that existed", 0.0, changes, state, "given"
     )
-
-
-def next_experiment(
-    bench: SimulatedBench,
-    judged: Judgement,
-    seed: int,
-    number: int,
-    progress: Progress,
-    most_s: float = math.inf,
-    avoided: Sequence[str] = (),
-    cover: bool = False,
-    given_up: Collection[str] = (),
-) -> Choice:
-    """Return the experiment that separates the open hypotheses or, with ``cover``, one that shows
-    what no recording has shown. Arguments as in :func:`propose`.
-    """
-    rng, name = np.random.default_rng([seed, number]), f"experiment-{number}"
-    hertz, weighed = judged.diagnosis.fit.bandwidth_Hz, judged.weighed
-    return propose(bench, weighed, hertz, rng, progress, name, most_s, avoided, cover, given_up)
 
 
 def joined(first: str, rival: str) -> str:

@@ -39,8 +39,8 @@ from rig.results.prove.draw import NEEDS_GRAVITY, SIZES, Assigned, Kind, Rig, as
 from rig.results.prove.engine import Engine
 from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
 from rig.results.prove.score import REFUSED, STRONG, VERSION, rate
-from rig.results.prove.simulate import truth_of
-from rig.results.prove.truth import place, repeated_salt, seal_truth, unseal
+from rig.results.prove.simulate import left_over, truth_of
+from rig.results.prove.truth import Sealed, place, repeated_salt, seal_truth, unseal
 from rig.runs.run_record import Ending
 
 BENCH, FIRST = "practical", "figure10"
@@ -72,13 +72,11 @@ _RATES = {
 
 
 class Trial(NamedTuple):
-    """One machine: number, kind and effects, its folder, and its sealed truth with the digest."""
+    """One machine: its number, its kind and effects, and its folder with the sealed truth."""
 
     number: int
     assigned: Assigned
-    folder: Path
-    truth: Path
-    digest: str
+    sealed: Sealed
 
 
 class SimulatedInvestigation(Investigation):
@@ -121,12 +119,7 @@ class SimulatedInvestigation(Investigation):
             if not found.problem:
                 here += found.recordings
                 reference += free.recordings
-        floor = _residuals(reference)
-        left = {
-            k: math.sqrt(max(r**2 / floor[k] ** 2 - 1.0, 0.0))
-            for k, r in _residuals(here).items()
-            if k in floor
-        }
+        left = left_over(_residuals(here), _residuals(reference))
         return max(left.values(), default=0.0)
 
     def judged(self, refine: bool = False) -> Judgement:
@@ -154,7 +147,7 @@ class SimulatedInvestigation(Investigation):
         return Ending.DONE.value
 
 
-def _residuals(recordings: Sequence[Recording]) -> dict[tuple[str, int], float]:
+def _residuals(recordings: Sequence[Recording]) -> dict[str, float]:
     """Return the rms residual of the nominal model, by equation and number of the recording; at
     least the noise of a row.
     """
@@ -165,7 +158,7 @@ def _residuals(recordings: Sequence[Recording]) -> dict[tuple[str, int], float]:
         rows = joint.residual[joint.stack.part(e.name)]
         for owner in np.unique(e.owner).tolist():
             rms = math.sqrt(float(np.mean(rows[e.owner == owner] ** 2)))
-            found[e.name, owner] = e.sigma * max(rms, 1.0)
+            found[f"{e.name} {owner}"] = e.sigma * max(rms, 1.0)
     return found
 
 
@@ -200,7 +193,7 @@ def work(
     """Investigate and score the machines that have no row yet; return all rows in order."""
     assigned = _assigned(len(proof.rigs), proof.seed)
     todo = [
-        Trial(n, given, rig.campaign.parent, rig.truth, rig.digest)
+        Trial(n, given, rig)
         for n, (given, rig) in enumerate(zip(assigned, proof.rigs, strict=True), start=1)
         if not is_file(proof.file(ROWS, rig))
     ]
@@ -217,11 +210,12 @@ def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
 
     The investigation and its designs see the recordings of the machine only.
     """
-    rig = _drawn(trial.assigned, seed, trial.number)
-    trial.folder.mkdir(parents=True, exist_ok=True)
+    rig, sealed = _drawn(trial.assigned, seed, trial.number), trial.sealed
+    folder = sealed.campaign.parent
+    folder.mkdir(parents=True, exist_ok=True)
     bench, own = load_bench(BENCH), diagnosis_seed(seed, trial.number)
     state = State({"file": str(bench.path)}, own, BUDGET_MIN, first=FIRST)
-    one = SimulatedInvestigation(bench, trial.folder, state, machine_on(bench.value, rig.machine))
+    one = SimulatedInvestigation(bench, folder, state, machine_on(bench.value, rig.machine))
     trace = ""
     try:
         judged, _ = one.run()
@@ -231,9 +225,9 @@ def prove_trial(trial: Trial, seed: int) -> dict[str, Any]:
     except Exception:  # noqa: BLE001 - a failure on one machine is a result of the proof
         found, trace = (REFUSED, []), traceback.format_exc()
     repeated = _repeated(one)
-    truth = unseal(trial.truth, trial.digest).record(trial.number)
+    truth = unseal(sealed.truth, sealed.digest).record(trial.number)
     strength = 0.0 if truth["kind"] == "nothing" else one.strength()
-    return row_of(truth, strength, state, found, repeated, trial.digest, trace)
+    return row_of(truth, strength, state, found, repeated, sealed.digest, trace)
 
 
 def machine_on(bench: Bench, drawn: Machine) -> Machine:

@@ -36,7 +36,7 @@ from rig.runs.mcap.layout import (
     FRAMES_TOPIC,
     decode_frames,
 )
-from rig.runs.mcap.reader import START, DamageError, Message, Tail
+from rig.runs.mcap.reader import START, DamageError, Message, RecordFile
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 
@@ -51,9 +51,9 @@ def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
     If the recording was never closed, all messages up to its last complete chunk are yielded.
     """
     path = folder / part.file
-    with _readable(path, folder), Tail(path) as tail:
+    with _readable(path, folder), RecordFile(path) as recording:
         offset: int | None = START
-        while offset is not None and (piece := tail.at(offset)) is not None:
+        while offset is not None and (piece := recording.at(offset)) is not None:
             yield from piece.messages
             offset = piece.following
 

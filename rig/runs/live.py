@@ -47,7 +47,7 @@ from rig.runs.mcap.layout import (
     SAMPLE_TOPIC,
     decode_frames,
 )
-from rig.runs.mcap.reader import START, DamageError, Message, Piece, Tail
+from rig.runs.mcap.reader import START, DamageError, Message, Piece, RecordFile
 
 HOST: Final = "127.0.0.1"
 NAMES: Final = frozenset({HOST, "localhost"})
@@ -239,9 +239,9 @@ class _Client:
         spoken = next((name for name in PROTOCOLS if name in request.subprotocols), None)
         await self._send(AcceptConnection(subprotocol=spoken))
         await self._greet()
-        with Tail(self._offer.recording) as tail:
-            tasks = [asyncio.ensure_future(self._feed(tail))]
-            tasks.append(asyncio.ensure_future(self._listen(events, tail)))
+        with RecordFile(self._offer.recording) as file:
+            tasks = [asyncio.ensure_future(self._feed(file))]
+            tasks.append(asyncio.ensure_future(self._listen(events, file)))
             try:
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 for task in done:
@@ -288,7 +288,7 @@ class _Client:
         ]
         await self._say(op="advertise", channels=channels)
 
-    async def _listen(self, events: AsyncIterator[Event], tail: Tail) -> None:
+    async def _listen(self, events: AsyncIterator[Event], file: RecordFile) -> None:
         """Follow the client's subscriptions until the client closes the connection."""
         text = ""
         async for event in events:
@@ -304,17 +304,17 @@ class _Client:
                 if len(text) > _LONGEST_MESSAGE:
                     return
                 if event.message_finished:
-                    await self._take(text, tail)
+                    await self._take(text, file)
                     text = ""
 
-    async def _take(self, text: str, tail: Tail) -> None:
+    async def _take(self, text: str, file: RecordFile) -> None:
         try:
             message = json.loads(text)
             if message["op"] == "subscribe":
                 for each in message["subscriptions"]:
                     self._topics[int(each["id"])] = TOPICS[int(each["channelId"]) - 1].name
                     last_s = self._offer.last_s
-                    at = START if last_s is None else tail.since(last_s)
+                    at = START if last_s is None else file.since(last_s)
                     self._at[int(each["id"])] = at
             elif message["op"] == "unsubscribe":
                 for number in message["subscriptionIds"]:
@@ -328,7 +328,7 @@ class _Client:
     async def _refuse(self, words: str) -> None:
         await self._say(op="status", level=_ERROR, message=words)
 
-    async def _feed(self, tail: Tail) -> None:
+    async def _feed(self, file: RecordFile) -> None:
         """Send the recording, including later additions, until cancelled.
 
         At a damaged place the stream stops, and the client shows the reason.
@@ -338,7 +338,7 @@ class _Client:
             if self._at:
                 offset = min(self._at.values())
                 try:
-                    piece = tail.at(offset)
+                    piece = file.at(offset)
                 except (DamageError, OSError) as error:
                     await self._refuse(f"the rest of the recording cannot be read: {error}")
                     self._at.clear()

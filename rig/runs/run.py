@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,10 +16,10 @@ from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError, StorageError
 from rig.common.locks import OWNER_FILE, Lock, hold_folder
-from rig.common.places import is_file, usable, write_json
+from rig.common.places import usable, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
-from rig.runs.mcap.reader import Block, DamageError, Log, NotARecordingError, read_run, run_items
+from rig.runs.mcap.reader import Block, Damage, Log, NotARecordingError, read_run, run_items
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
@@ -104,41 +105,51 @@ CHANNELS = (
 )
 MOST_SAMPLES = 5_000_000
 """Samples above which :data:`LEFT_OUT` are not read; ten hours at 1 kHz fit into 4 GiB."""
-_MOST_PER_BYTE = 4
-"""Most samples per byte of a recording (LZ4: 255 to 1); a record with more is wrong."""
 
 Samples = dict[str, Array]
 
 
 def by_segment(
-    path: Path, segments: Sequence[SegmentRecord], *, whole: bool
+    path: Path, segments: Sequence[SegmentRecord]
 ) -> tuple[dict[int, Samples], str | None]:
     """Return the samples by index of the segment, including stale samples, and a message on damage.
 
-    ``whole``: whether the recording was closed regularly, so that it can be streamed.
+    The recording is read in blocks, and each field grows in place, because a long run does not fit
+    into memory twice.
     """
-    most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
-    expected = {s.index: min(s.samples, most) for s in segments}
-    fields = {s.index: _fields(s, sum(other.samples for other in segments)) for s in segments}
-    if whole:
-        try:
-            wanted = sorted({name for names in fields.values() for name in names})
-            items = run_items(path, ["segment", *wanted], only_samples=True)
-            blocks = (item.samples for item in items if isinstance(item, Block))
-            return _gather(blocks, fields, expected), None
-        except (DamageError, OSError):
-            pass  # read_log reports the damage in full
-    log = read_log(path)
-    return _gather([log.samples], fields, expected), log.damage
+    total = sum(segment.samples for segment in segments)
+    fields = {segment.index: _fields(segment, total) for segment in segments}
+    wanted = sorted({name for names in fields.values() for name in names})
+    held = {k: {name: array("d") for name in names} for k, names in fields.items()}
+    damage = None
+    with readable(path):
+        for item in run_items(path, ["segment", *wanted], only_samples=True):
+            if isinstance(item, Damage):
+                damage = item.words
+            elif isinstance(item, Block):
+                for k, values in held.items():
+                    mine = item.samples["segment"] == k
+                    for name, grown in values.items():
+                        grown.frombytes(item.samples[name][mine].tobytes())
+    return {
+        k: {name: np.asarray(grown) for name, grown in values.items()} for k, values in held.items()
+    }, damage
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Name a file that cannot be read or is not a recording."""
+    try:
+        with usable(path, "read"):
+            yield
+    except NotARecordingError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def read_log(path: Path) -> Log:
     """Read a recording as a whole."""
-    try:
-        with usable(path, "read"):
-            return read_run(path)
-    except NotARecordingError as error:
-        raise InputError(str(error)) from error
+    with readable(path):
+        return read_run(path)
 
 
 def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
@@ -146,44 +157,6 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
         CHANNELS if total <= MOST_SAMPLES else tuple(c for c in CHANNELS if c not in LEFT_OUT)
     )
     return (*STAMPS, *channels, *(["pressure"] if segment.stage == "hot_fire" else []))
-
-
-class _Growing:
-    """One field of a segment, filled in place: joining blocks would need twice the memory."""
-
-    def __init__(self, expected: int) -> None:
-        self._values = np.empty(expected)
-        self._count = 0
-
-    def extend(self, values: Array) -> None:
-        """Add values; if there are more values than expected, the whole field is copied."""
-        stop = self._count + len(values)
-        if stop > len(self._values):
-            self._values = np.concatenate(
-                (self._values[: self._count], np.empty(2 * len(values) + self._count))
-            )
-        self._values[self._count : stop] = values
-        self._count = stop
-
-    def done(self) -> Array:
-        """Return all added values."""
-        return self._values[: self._count]
-
-
-def _gather(
-    blocks: Iterable[Mapping[str, Array]],
-    fields: Mapping[int, Sequence[str]],
-    expected: Mapping[int, int],
-) -> dict[int, Samples]:
-    """Return the samples of each segment from blocks of samples of all segments."""
-    held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}
-    for block in blocks:
-        for k, names in fields.items():
-            mine = block["segment"] == k
-            if mine.any():
-                for name in names:
-                    held[k][name].extend(block[name][mine])
-    return {k: {name: grown.done() for name, grown in each.items()} for k, each in held.items()}
 
 
 AVERAGED = frozenset({"current", "voltage"})
@@ -384,7 +357,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
         part = record.parts[number - 1]
         path = folder / part.file
         mine = [segment for segment in wanted if segment.part == number]
-        samples, damage = by_segment(path, mine, whole=part.state == "done")
+        samples, damage = by_segment(path, mine)
         if damage is not None and part.state == "done":
             raise InputError(
                 f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`"

@@ -7,13 +7,14 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.common.errors import InputError
-from rig.sources.table import Array, Table, library, open_binary
+from rig.sources.table import Array, Column, Table, library, open_binary
 
 _NUMERIC = frozenset(
     {"double", "single", "logical"}
@@ -22,9 +23,11 @@ _NUMERIC = frozenset(
 """MATLAB classes of real or complex numbers."""
 
 
-class _Column(NamedTuple):
+class _Series(NamedTuple):
+    """A variable, or a series of a matrix."""
+
     variable: str
-    series: int | None
+    number: int | None
 
 
 class ArrayTable(Table):
@@ -33,42 +36,39 @@ class ArrayTable(Table):
     The longer side of a matrix counts as time. Single numbers and text are not columns.
     """
 
-    def __init__(self, path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        shapes: Mapping[str, tuple[int, ...]],
+        units: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.path = path
-        columns = [column for name, shape in shapes.items() for column in _columns(name, shape)]
-        self._columns = columns
-        self.names = tuple(
-            c.variable if c.series is None else f"{c.variable}[{c.series}]" for c in columns
-        )
+        columns: list[Column] = []
+        for name, shape in shapes.items():
+            sides, unit = [side for side in shape if side != 1], units.get(name, "")
+            if len(sides) == 1:
+                columns.append(Column(name, _Series(name, None), unit))
+            elif len(sides) == 2:
+                columns += [
+                    Column(f"{name}[{k}]", _Series(name, k), unit) for k in range(min(sides))
+                ]
+        self._lay_out(columns)
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
-        wanted = [self._columns[k] for k in columns]
-        arrays = self._load({column.variable for column in wanted})
-        return [self._series(column, arrays[column.variable]) for column in wanted]
+        wanted: list[_Series] = [self._sources[k] for k in columns]
+        arrays = self._load({series.variable for series in wanted})
+        return [self._values(series, arrays[series.variable]) for series in wanted]
 
     @abstractmethod
     def _load(self, variables: Iterable[str]) -> dict[str, NDArray[Any]]:
         """Load whole variables by name."""
 
-    def variable(self, column: int) -> str:
-        """Return the variable to which a column belongs."""
-        return self._columns[column].variable
-
-    def _series(self, column: _Column, array: NDArray[Any]) -> Array:
+    def _values(self, series: _Series, array: NDArray[Any]) -> Array:
         values = np.squeeze(array)
-        if column.series is not None:
+        if series.number is not None:
             wide = values.shape[1] > values.shape[0]
-            values = values[column.series] if wide else values[:, column.series]
-        return self.doubles(column.variable, values, "variable")
-
-
-def _columns(name: str, shape: tuple[int, ...]) -> list[_Column]:
-    sides = [side for side in shape if side != 1]
-    if len(sides) == 1:
-        return [_Column(name, None)]
-    if len(sides) == 2:
-        return [_Column(name, index) for index in range(min(sides))]
-    return []
+            values = values[series.number] if wide else values[:, series.number]
+        return self.doubles(series.variable, values, "variable")
 
 
 def _contents(matlab: Any, stream: Any) -> list[tuple[str, tuple[int, ...], str]]:
@@ -291,15 +291,13 @@ class Hdf5Table(ArrayTable):
             listed = ", ".join(self._left_out[:4])
             more = f" and {len(self._left_out) - 4} others" if len(self._left_out) > 4 else ""
             self.note(f"left out: {listed}{more}")
-        super().__init__(path, shapes)
+        super().__init__(path, shapes, units)
         if not self.names:
             raise InputError(
                 f"{path}: holds no arrays of numbers"
                 + (f" ({', '.join(self._left_out[:4])})" if self._left_out else "")
                 + "; of a timeseries or Dataset object, save .Time and .Data as separate variables"
             )
-        stated = [units.get(self.variable(k), "") for k in range(len(self.names))]
-        self.units = tuple(stated) if any(stated) else ()
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -355,9 +353,9 @@ class Hdf5Table(ArrayTable):
 
     def _load(self, variables: Iterable[str]) -> dict[str, NDArray[Any]]:
         with self._opened() as file:
-            return {name: self._values(file, name) for name in variables}
+            return {name: self._array(file, name) for name in variables}
 
-    def _values(self, file: Any, name: str) -> NDArray[Any]:
+    def _array(self, file: Any, name: str) -> NDArray[Any]:
         place, field = self._places[name]
         dataset = file[place]
         values: NDArray[Any] = np.asarray(dataset[()] if field is None else dataset[field])

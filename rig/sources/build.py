@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from glob import glob, has_magic
-from itertools import islice, pairwise
+from itertools import pairwise
 from math import inf
 from pathlib import Path
 
@@ -41,64 +41,34 @@ from rig.sources.repair import (
 )
 from rig.sources.table import Table, format_of
 
-
-@dataclass(frozen=True)
-class Read:
-    """The recordings of one file, its entry in the campaign, and its first stamp, s."""
-
-    recordings: tuple[Recording, ...]
-    first: float
-    section: RecordingSection
-    index: int
-
-
-def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> list[Recording]:
-    """Return the recordings of all files, with start times in the session if the campaign states
-    them.
-
-    Start times in seconds are used as stated. The earliest ISO time becomes zero.
-    """
-    problems: list[str] = []
-    starts = _starts(files, document, problems)
-    placed: list[tuple[Recording, int]] = []
-    for file, start in zip(files, starts, strict=True):
-        for recording in file.recordings:
-            if start is not None:
-                begin = start + float(recording.time[0]) - file.first
-                note = f"begins {begin:.6g} s into the session"
-                recording = replace(recording, start=begin, notes=(*recording.notes, note))
-            placed.append((recording, file.index))
-    if any(start is not None for start in starts) and not problems:
-        problems += _overlaps(placed, document)
-    if problems:
-        raise InputError(dict.fromkeys(problems))
-    return [recording for recording, _ in placed]
+File = tuple[Path, int, RecordingSection]
+"""A file of a campaign, and number and content of its entry."""
 
 
 def _starts(
-    files: Sequence[Read], document: Document[Campaign], problems: list[str]
+    files: Sequence[File], document: Document[Campaign], problems: list[str]
 ) -> list[float | None]:
-    """Return the start time of each file, s; all windows of a file have one start time."""
-    for index in dict.fromkeys(f.index for f in files):
-        same = [f for f in files if f.index == index]
-        if same[0].section.start is not None and len(same) > 1:
+    """Return the start time of each file in the session, s, or None if the campaign states none;
+    all windows of a file have one start time.
+
+    Start times in seconds are used as stated. The earliest ISO time becomes zero.
+    """
+    counts = Counter(index for _, index, _ in files)
+    for index, count in counts.items():
+        if document.value.recordings[index].start is not None and count > 1:
             problems.append(
                 document.problem(
                     ("recordings", index, "start"),
-                    f"one `start` for {len(same)} files; list each file in a separate entry with "
+                    f"one `start` for {count} files; list each file in a separate entry with "
                     "its own `start`",
                 )
             )
-    times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
-    epoch = min(times, default=None)
-    found: list[float | None] = []
-    for file in files:
-        start = file.section.start
-        if isinstance(start, str) and epoch is not None:
-            found.append((instant(start) - epoch).total_seconds())
-        else:
-            found.append(None if isinstance(start, str) else start)
-    return found
+    stated = [section.start for _, _, section in files]
+    times = {start: instant(start) for start in stated if isinstance(start, str)}
+    return [
+        (times[start] - min(times.values())).total_seconds() if isinstance(start, str) else start
+        for start in stated
+    ]
 
 
 def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
@@ -193,13 +163,25 @@ SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 
 
 def build(
-    file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
-) -> Read:
+    file: Path,
+    section: RecordingSection,
+    bench: Bench,
+    document: Document[Campaign],
+    index: int,
+    start: float | None,
+) -> list[Recording]:
     """Read one file, convert its channels to SI units, and make the allowed corrections.
 
+    Args:
+        file: The file.
+        section: Its entry in the campaign.
+        bench: Constants of the campaign's bench.
+        document: The campaign.
+        index: Number of the entry, from 0.
+        start: Time of the file's first stamp in the session, s, or None if it is unknown.
+
     Returns:
-        One recording per piece without gaps, with its corrections as notes, and the time span of
-        the whole file, also outside the window.
+        One recording per piece without gaps, with its corrections as notes.
     """
     unsure = document.value.bench.uncertainties()
     if section.moment_arm is not None:
@@ -252,7 +234,14 @@ def build(
     if words := coarser_than_velocity(whole):
         used = {n: v for n, v in whole.channels.items() if n not in ANGLES}
         whole, stamps = replace(whole, channels=used, notes=(*whole.notes, words)), None
-    return Read(tuple(_cut(whole, timing, stamps)), first, section, index)
+    recordings = _cut(whole, timing, stamps)
+    if start is None:
+        return recordings
+    begins = [start + float(recording.time[0]) - first for recording in recordings]
+    return [
+        replace(r, start=begin, notes=(*r.notes, f"begins {begin:.6g} s into the session"))
+        for r, begin in zip(recordings, begins, strict=True)
+    ]
 
 
 def _windowed(
@@ -405,19 +394,14 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
     """Return one recording per piece without gaps, each on one clock, numbered from 1."""
-    n = len(whole.time)
-    if timing.pieces == ((0, n),):
+    if timing.pieces == ((0, len(whole.time)),):
         return [_on_one_clock(whole, stamps)]
-    cut = [
-        replace(
-            whole,
-            name=f"{whole.name}[{number}]",
-            channels={name: values[start:stop] for name, values in whole.channels.items()},
-        )
-        for number, (start, stop) in enumerate(timing.pieces, start=1)
-    ]
-    parts = [None if stamps is None else stamps[start:stop] for start, stop in timing.pieces]
-    return [_on_one_clock(recording, part) for recording, part in zip(cut, parts, strict=True)]
+    found = []
+    for number, (start, stop) in enumerate(timing.pieces, start=1):
+        channels = {name: values[start:stop] for name, values in whole.channels.items()}
+        piece = replace(whole, name=f"{whole.name}[{number}]", channels=channels)
+        found.append(_on_one_clock(piece, None if stamps is None else stamps[start:stop]))
+    return found
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
@@ -485,22 +469,26 @@ def load_source(path: Path, *, partial: bool = False, units: bool = False) -> Da
             f"{path}: the recordings are of {len(names)} units, {', '.join(names[:3])}, ...; only "
             "`rig identify` takes several units; give a campaign with the recordings of one"
         )
-    read: list[Read] = []
-    for file, index, section in _expand(document, problems):
+    recordings: list[Recording] = []
+    entries: list[int] = []
+    files = _expand(document, problems)
+    starts = _starts(files, document, problems)
+    for (file, index, section), start in zip(files, starts, strict=True):
         try:
-            read.append(build(file, section, bench, document, index))
+            recordings += build(file, section, bench, document, index, start)
+            entries += [index] * (len(recordings) - len(entries))
         except InputError as error:
             problems.extend(error.problems)
+    recordings = list(_distinct_names(recordings))
+    if not problems and any(start is not None for start in starts):
+        problems += _overlaps(list(zip(recordings, entries, strict=True)), document)
     if problems:
         raise InputError(dict.fromkeys(problems))
-    named = iter(_distinct_names([r for one in read for r in one.recordings]))
-    files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
-    recordings = tuple(on_session_clock(files, document))
     others = dict.fromkeys(document.other_files())
     for section in campaign.recordings:
         others |= dict.fromkeys(map(Path, section.read.beside(document.path.parent).dbc_files))
     tables = {str(file): sha256_file(file) for file in others}
-    return Dataset(recordings, campaign.model.model(), tables)
+    return Dataset(tuple(recordings), campaign.model.model(), tables)
 
 
 def _require_visible(path: Path) -> None:
@@ -514,11 +502,9 @@ def _require_visible(path: Path) -> None:
         raise InputError(f"{path}: cannot be read: {reason}") from error
 
 
-def _expand(
-    document: Document[Campaign], problems: list[str]
-) -> list[tuple[Path, int, RecordingSection]]:
+def _expand(document: Document[Campaign], problems: list[str]) -> list[File]:
     """Expand file names and patterns, and report missing files, unknown formats and duplicates."""
-    files: list[tuple[Path, int, RecordingSection]] = []
+    files: list[File] = []
     fitted: dict[tuple[str, str], list[RecordingSection]] = {}
     for index, section in enumerate(document.value.recordings):
         seen: set[Path] = set()

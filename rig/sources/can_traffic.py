@@ -23,6 +23,7 @@ from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
 from rig.sources.table import (
     Array,
+    Column,
     Table,
     as_doubles,
     damaged,
@@ -269,37 +270,33 @@ def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
 
 MOST_BITS = 64
 _FLOATS = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
+"""Types of the bits and of the value of a floating-point number, by its width, bits."""
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class BusSignal:
-    """One signal of a CAN message."""
+class _Signal:
+    """A signal of a CAN message, and where it is in a frame."""
 
-    name: str
+    stated: Any  # the signal of the DBC file, in the form of cantools
     # Numbers of the bits in the frame, least significant first; bit 0 is the lowest bit of the
     # first byte.
     positions: Sequence[int]
-    signed: bool = False  # whether the raw value is in two's complement
-    real: bool = False  # whether the raw value is a number by IEEE 754
-    factor: float = 1.0
-    offset: float = 0.0
-    unit: str = ""
-    # Least value that the source allows, or None if the source states no range.
-    low: float | None = None
-    high: float | None = None
     # The multiplexer that determines whether the signal is in a frame, or None for a signal that is
     # in every frame.
-    selector: BusSignal | None = None
-    # Raw values of the selector with which the signal is in the frame.
-    pages: frozenset[int] = frozenset()
+    selector: _Signal | None
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Factor and offset of the value."""
+        return float(self.stated.scale), float(self.stated.offset)
 
     def present(self, frames: Frames) -> Mask:
         """Return a mask of the frames that contain the signal, by their length and multiplexers."""
         there: Mask = frames.lengths > max(self.positions) // 8
         if self.selector is not None:
             there = there & self.selector.present(frames)
-            there = there & np.isin(self.selector.bits(frames), list(self.pages))
+            there = there & np.isin(self.selector.bits(frames), self.stated.multiplexer_ids)
         return there
 
     def bits(self, frames: Frames) -> NDArray[np.uint64]:
@@ -314,35 +311,32 @@ class BusSignal:
 
     def values(self, frames: Frames, rows: Mask) -> tuple[Array, str]:
         """Return the values in the given frames, and a note if values were changed."""
-        bits = self.bits(frames)[rows]
-        if self.real:
+        bits, (factor, offset) = self.bits(frames)[rows], self.scale
+        if self.stated.is_float:
             unsigned, kind = _FLOATS[len(self.positions)]
             # The bits of a float may also represent NaN or infinity.
             with np.errstate(over="ignore", invalid="ignore"):
-                raw = bits.astype(unsigned).view(kind).astype(np.float64)
-                return raw * self.factor + self.offset, ""
+                return bits.astype(unsigned).view(kind).astype(np.float64) * factor + offset, ""
         whole: NDArray[np.uint64] | NDArray[np.int64] = bits
-        if self.signed:
+        if self.stated.is_signed:
             shift = np.uint64(MOST_BITS - len(self.positions))
             whole = (bits << shift).view(np.int64) >> np.int64(shift)
-        if self.factor == 1.0 and self.offset == 0.0:
+        if (factor, offset) == (1.0, 0.0):
             return as_doubles(whole)
-        return whole.astype(np.float64) * self.factor + self.offset, ""
+        return whole.astype(np.float64) * factor + offset, ""
 
 
-@dataclass(frozen=True)
-class BusMessage:
-    """One CAN message with its signals."""
+class _Message(NamedTuple):
+    """A CAN message of the DBC file, its signals that can be read, and what is wrong with it."""
 
-    name: str
+    stated: Any
     identifier: int
-    signals: tuple[BusSignal, ...]
-    by_group: bool = False
-    left_out: tuple[str, ...] = field(default=())
-    fault: str = ""
+    signals: tuple[_Signal, ...]
+    left_out: tuple[str, ...]
+    fault: str
 
 
-def big_endian(start: int, width: int) -> tuple[int, ...]:
+def _big_endian(start: int, width: int) -> tuple[int, ...]:
     """Return the bits of a big-endian signal by the DBC number of its highest, lowest first."""
     positions = [start]
     while len(positions) < width:
@@ -351,10 +345,7 @@ def big_endian(start: int, width: int) -> tuple[int, ...]:
     return tuple(positions[::-1])
 
 
-_FLOAT_WIDTHS = (16, 32, 64)
-
-
-def _messages_of(path: Path) -> list[BusMessage]:
+def _messages_of(path: Path) -> list[_Message]:
     try:
         database, faults = load_dbc(path)
     except ConfigurationError as error:
@@ -362,8 +353,8 @@ def _messages_of(path: Path) -> list[BusMessage]:
     return [_message(message, faults.get(at, "")) for at, message in enumerate(database.messages)]
 
 
-def _message(message: Any, fault: str) -> BusMessage:
-    found: dict[str, BusSignal] = {}
+def _message(message: Any, fault: str) -> _Message:
+    found: dict[str, _Signal] = {}
     left_out: list[str] = []
     if message.is_container:
         left_out.append(f"{message.name} (a container of other messages)")
@@ -373,56 +364,39 @@ def _message(message: Any, fault: str) -> BusMessage:
         if words:
             left_out.append(f"{message.name}.{signal.name} ({words})")
         elif not message.is_container:
-            _signal(signal, by_name, found)
-    return BusMessage(
-        name=message.name,
-        identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
-        signals=tuple(found[name] for name in by_name if name in found),
-        by_group=message.protocol == "j1939" and message.is_extended_frame,
-        left_out=tuple(left_out),
-        fault=fault,
-    )
+            _add_signal(signal, by_name, found)
+    signals = tuple(found[name] for name in by_name if name in found)
+    flag = EXTENDED_FLAG if message.is_extended_frame else 0
+    return _Message(message, message.frame_id | flag, signals, tuple(left_out), fault)
 
 
 def _obstacle(signal: Any) -> str:
     if signal.length > MOST_BITS:
         return f"{signal.length} bits, at most {MOST_BITS} are read"
-    if signal.is_float and signal.length not in _FLOAT_WIDTHS:
+    if signal.is_float and signal.length not in _FLOATS:
         return f"a floating-point number of {signal.length} bits"
     return ""
 
 
-def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
-    """Return a signal, and add it and its multiplexers to ``found``; None if one cannot be read."""
+def _add_signal(signal: Any, by_name: dict[str, Any], found: dict[str, _Signal]) -> None:
+    """Add a signal and its multiplexers to ``found``, unless one of them cannot be read."""
     if signal.name in found:
-        return found[signal.name]
+        return
     selector = None
     if signal.multiplexer_ids and signal.multiplexer_signal:
         above = by_name.get(signal.multiplexer_signal)
         if above is None or above is signal or _obstacle(above):
-            return None
-        selector = _signal(above, by_name, found)
+            return
+        _add_signal(above, by_name, found)
+        selector = found.get(above.name)
         if selector is None:
-            return None
-    little = signal.byte_order == "little_endian"
-    low, high = signal.minimum, signal.maximum
-    stated = low is not None and high is not None and low < high
-    found[signal.name] = BusSignal(
-        name=signal.name,
-        positions=range(signal.start, signal.start + signal.length)
-        if little
-        else big_endian(signal.start, signal.length),
-        signed=bool(signal.is_signed),
-        real=bool(signal.is_float),
-        factor=float(signal.scale),
-        offset=float(signal.offset),
-        unit=str(signal.unit or ""),
-        low=float(low) if stated else None,
-        high=float(high) if stated else None,
-        selector=selector,
-        pages=frozenset(signal.multiplexer_ids or ()) if selector is not None else frozenset(),
+            return
+    positions = (
+        range(signal.start, signal.start + signal.length)
+        if signal.byte_order == "little_endian"
+        else _big_endian(signal.start, signal.length)
     )
-    return found[signal.name]
+    found[signal.name] = _Signal(signal, positions, selector)
 
 
 STAMPS = "time"  # name of the column of a message's time stamps
@@ -437,12 +411,6 @@ class _Base(NamedTuple):
 
     frames: Frames
     rows: Mask
-
-
-class _Column(NamedTuple):
-    base: int
-    signal: BusSignal | None
-    """Signal of the column, or None for the column of time stamps."""
 
 
 class CanTable(Table):
@@ -469,31 +437,24 @@ class CanTable(Table):
         known = [message for name in options.dbc_files for message in _messages_of(Path(name))]
         named = self._named(frames, _by_identifier(known, {i for _, i in frames}))
         self._bases: list[_Base] = []
-        self._columns: list[_Column] = []
-        names: list[str] = []
+        columns: list[Column] = []
         base_names: list[str] = []
         for name, message, found in named:
+            taken = {signal.stated.name for signal in message.signals}
+            stamps = _OTHER_STAMPS if STAMPS in taken else STAMPS
             for suffix, base, signals in _pages(message, found):
                 place = len(self._bases)
                 self._bases.append(base)
-                prefix = f"{name}." if name else ""
                 base_names.append(f"{name}{suffix}")
-                self._columns += [_Column(place, None), *(_Column(place, s) for s in signals)]
-                taken = {signal.name for signal in message.signals}
-                stamps = _OTHER_STAMPS if STAMPS in taken else STAMPS
-                names.append(f"{prefix}{suffix[1:]}.{stamps}" if suffix else f"{prefix}{stamps}")
-                names += [f"{prefix}{signal.name}" for signal in signals]
-        if not names:
+                columns.append(Column(f"{name}{suffix}.{stamps}", None, "s", place))
+                for signal in signals:
+                    stated = signal.stated
+                    scale = None if stated.is_float else signal.scale
+                    whole_name, unit = f"{name}.{stated.name}", str(stated.unit or "")
+                    columns.append(Column(whole_name, signal, unit, place, scale))
+        if not columns:
             raise InputError(f"{path}: no signal of the map fits into the frames of the file")
-        self.names = tuple(names)
-        self.base_names = tuple(base_names)
-        self.bases = tuple(column.base for column in self._columns)
-        self.units = tuple("s" if c.signal is None else c.signal.unit for c in self._columns)
-        self.counts = {
-            k: (c.signal.factor, c.signal.offset)
-            for k, c in enumerate(self._columns)
-            if c.signal is not None and not c.signal.real
-        }
+        self._lay_out(columns, base_names)
 
     def _of_bus(self, frames: Mapping[Key, Frames], bus: str | int | None) -> dict[Key, Frames]:
         """Return the frames of one bus, or of all buses."""
@@ -508,11 +469,15 @@ class CanTable(Table):
         return kept
 
     def _named(
-        self, frames: Mapping[Key, Frames], known: Mapping[int, BusMessage]
-    ) -> list[tuple[str, BusMessage, Frames]]:
+        self, frames: Mapping[Key, Frames], known: Mapping[int, _Message]
+    ) -> list[tuple[str, _Message, Frames]]:
         """Return name, message and frames of each message in the file; note the unknown frames."""
-        groups = {_group(m.identifier): m for m in known.values() if m.by_group}
-        found: list[tuple[str, int, BusMessage, Frames]] = []
+        groups = {
+            _group(m.identifier): m
+            for m in known.values()
+            if m.stated.protocol == "j1939" and m.stated.is_extended_frame
+        }
+        found: list[tuple[str, int, _Message, Frames]] = []
         unknown: dict[Key, Frames] = {}
         for (bus, identifier), one in frames.items():
             message = known.get(identifier)
@@ -540,7 +505,7 @@ class CanTable(Table):
                     f"values of these signals are doubtful; correct the DBC file"
                 )
             same = [(b, i) for b, i, m, _ in found if m is message]
-            name = message.name
+            name = message.stated.name
             if len({b for b, _ in same}) > 1:
                 name = f"{bus}.{name}"
             if len({i for _, i in same}) > 1:
@@ -556,7 +521,7 @@ class CanTable(Table):
     def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
-            base, signal = self._bases[self._columns[k].base], self._columns[k].signal
+            base, signal = self._bases[self.bases[k]], self._sources[k]
             if signal is None:
                 found.append(base.frames.stamps[base.rows])
                 continue
@@ -567,15 +532,17 @@ class CanTable(Table):
             found.append(values)
         return found
 
-    def _check_range(self, name: str, signal: BusSignal, values: Array) -> None:
-        if signal.low is None or signal.high is None:
+    def _check_range(self, name: str, signal: _Signal, values: Array) -> None:
+        low, high = signal.stated.minimum, signal.stated.maximum
+        if low is None or high is None or not low < high:
             return
-        slack = 1e-9 * max(abs(signal.low), abs(signal.high))
-        outside = int(np.sum((values < signal.low - slack) | (values > signal.high + slack)))
+        low, high = float(low), float(high)
+        slack = 1e-9 * max(abs(low), abs(high))
+        outside = int(np.sum((values < low - slack) | (values > high + slack)))
         if outside:
             self.note(
-                f"`{name}`: {outside} of {len(values)} values are outside of {signal.low:g} to "
-                f"{signal.high:g}, the range in the DBC file; some devices send such values if "
+                f"`{name}`: {outside} of {len(values)} values are outside of {low:g} to "
+                f"{high:g}, the range in the DBC file; some devices send such values if "
                 f"they have no valid value"
             )
 
@@ -585,29 +552,29 @@ class CanTable(Table):
         return found.frames.stamps[found.rows]
 
 
-def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
+def _pages(message: _Message, frames: Frames) -> Iterator[tuple[str, _Base, list[_Signal]]]:
     """Yield signals that occur in equal sets of frames, with a suffix for their time base."""
     every = np.ones(len(frames.stamps), dtype=np.bool_)
-    groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
+    groups: dict[bytes, tuple[Mask, list[_Signal]]] = {every.tobytes(): (every, [])}
     for signal in message.signals:
         rows = signal.present(frames)
         if rows.any():
             groups.setdefault(rows.tobytes(), (rows, []))[1].append(signal)
     for rows, signals in groups.values():
         if signals:
-            suffix = "" if rows.all() else f".{signals[0].name}"
+            suffix = "" if rows.all() else f".{signals[0].stated.name}"
             yield suffix, _Base(frames, rows), signals
 
 
-def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
-    found: dict[int, BusMessage] = {}
+def _by_identifier(messages: Iterable[_Message], seen: Set[int]) -> dict[int, _Message]:
+    found: dict[int, _Message] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)
         if other is not message and message.identifier in seen:
             raise InputError(
-                f"{other.name} and {message.name} of the DBC files both have the identifier "
-                f"{hexadecimal(message.identifier)}; name only the DBC file of one bus, and set "
-                "read.bus to this bus"
+                f"{other.stated.name} and {message.stated.name} of the DBC files both have the "
+                f"identifier {hexadecimal(message.identifier)}; name only the DBC file of one bus, "
+                "and set read.bus to this bus"
             )
     return found
 

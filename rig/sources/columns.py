@@ -52,11 +52,10 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 class Guess(NamedTuple):
-    """Column that is guessed for a channel; ``sure`` if it states its unit."""
+    """Column that is guessed for a channel, and its scale to SI."""
 
     column: str | int
     scale: float
-    sure: bool
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -106,7 +105,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
             si, scale = UNITS.get(stated, ("", 1.0)) if stated else (unit, 1.0)
             if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
                 continue
-            found[channel] = Guess(column, scale, stated in UNITS)
+            found[channel] = Guess(column, scale)
             taken.add(column)
             break
     return found

@@ -171,7 +171,7 @@ def _doubts(
 
 def look_at_recording(recording: Recording) -> Look:
     """Describe the channels of a recording from a run folder or a campaign, in SI units."""
-    guesses = {name: Guess(k, 1.0, True) for k, name in enumerate(recording.channels)}
+    guesses = {name: Guess(k, 1.0) for k, name in enumerate(recording.channels)}
     columns = tuple(
         _column(k, name, channel_unit(name) if name in CHANNELS else "", values, guesses)
         for k, (name, values) in enumerate(recording.channels.items())

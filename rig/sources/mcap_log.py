@@ -24,13 +24,12 @@ from rig.runs.mcap.reader import HEADER
 from rig.sources.table import Array, library, open_binary
 from rig.sources.text import (
     LONGEST_LIST,
+    Duration,
     RowsTable,
     Stamp,
-    number,
     numbers,
     parse,
     series,
-    stamp_of,
 )
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -136,67 +135,29 @@ class Decoders:
         decode = self._factories[encoding].decoder_for(encoding, schema)
         if decode is None:
             return None
-        walk = _of_protobuf if encoding == "protobuf" else _of_ros
-        return lambda data: dict(walk(decode(data), ""))
+        return lambda data: dict(numbers(_plain(decode(data)), ""))
 
 
-def _of_ros(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a decoded ROS message, or of a value inside it."""
-    fields = getattr(type(value), "__slots__", None)
-    if fields is not None and hasattr(type(value), "_type"):
-        members = {field: getattr(value, field) for field in fields}
-        for field, member in members.items():
-            yield from _of_ros(member, f"{prefix}.{field}" if prefix else field)
-        if prefix:
-            yield from _time(members, prefix, str(type(value)._type))
-    elif isinstance(value, bytes | bytearray | str):
-        return
+def _plain(value: Any) -> Any:
+    """Return a decoded message of ROS or protobuf, or a value inside one, as numbers, mappings and
+    lists; text, long lists, and fields of protobuf without value and default are left out.
+    """
+    if isinstance(value, bytes | bytearray | str):
+        return None
+    if (descriptor := getattr(value, "DESCRIPTOR", None)) is not None:
+        kind = descriptor.full_name
+        fields = (f for f in descriptor.fields if not f.has_presence or value.HasField(f.name))
+        members = {field.name: _plain(getattr(value, field.name)) for field in fields}
+    elif hasattr(type(value), "_type"):
+        kind = type(value)._type
+        members = {name: _plain(getattr(value, name)) for name in type(value).__slots__}
+    elif hasattr(value, "keys"):
+        return {str(key): _plain(value[key]) for key in list(value)[:LONGEST_LIST]}
     elif hasattr(value, "__len__"):
-        yield from _elements(value, prefix, _of_ros)
-    elif (found := number(value)) is not None:
-        yield prefix, found
-
-
-def _of_protobuf(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a protobuf message without fields that have no value and no default."""
-    descriptor = getattr(value, "DESCRIPTOR", None)
-    if descriptor is None:
-        found = None if isinstance(value, bytes | str) else number(value)
-        if found is not None:
-            yield prefix, found
-        return
-    members: dict[str, Any] = {}
-    for field in descriptor.fields:
-        if field.has_presence and not value.HasField(field.name):
-            continue
-        member = members[field.name] = getattr(value, field.name)
-        place = f"{prefix}.{field.name}" if prefix else field.name
-        if not hasattr(member, "__len__") or isinstance(member, bytes | str):
-            yield from _of_protobuf(member, place)
-        elif hasattr(member, "keys"):
-            for key in list(member)[:LONGEST_LIST]:
-                yield from _of_protobuf(member[key], f"{place}.{key}")
-        else:
-            yield from _elements(member, place, _of_protobuf)
-    if prefix:
-        yield from _time(members, prefix, str(descriptor.full_name))
-
-
-def _elements(
-    value: Any, prefix: str, walk: Callable[[Any, str], Iterator[tuple[str, float]]]
-) -> Iterator[tuple[str, float]]:
-    if len(value) <= LONGEST_LIST:
-        for index, child in enumerate(value):
-            yield from walk(child, f"{prefix}[{index}]")
-
-
-def _time(members: dict[str, Any], prefix: str, kind: str) -> Iterator[tuple[str, float]]:
-    """Yield a time stamp of seconds and nanoseconds as one column; a duration is in s."""
-    stamp = stamp_of(members)
-    if stamp is not None and kind.endswith(_DURATION):
-        yield prefix, int(stamp) / 1e9
-    elif stamp is not None:
-        yield prefix, Stamp(stamp)
+        return list(map(_plain, value)) if len(value) <= LONGEST_LIST else None
+    else:
+        return value
+    return Duration(members) if str(kind).endswith(_DURATION) else members
 
 
 LOG_TIME = "log_time"
@@ -249,7 +210,7 @@ class McapTable(RowsTable):
             )
         if listed:
             self.note(f"left out: {listed}")
-        self._lay_out(self._rows.items(), True)
+        self._take_rows(self._rows.items(), True)
 
     def _take(self, messages: Iterable[tuple[Schema | None, Channel, Message]]) -> None:
         decoders = Decoders(self.path)

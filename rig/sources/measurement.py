@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.common.errors import InputError
-from rig.sources.table import Array, Table, heard, library, open_binary, seconds_per
+from rig.sources.table import Array, Column, Table, heard, library, open_binary, seconds_per
 
 TIME_MASTER = 1
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
@@ -41,32 +41,23 @@ class MdfTable(Table):
         import can  # noqa: F401
 
         self._asammdf = library("asammdf", path, "MDF", "mdf")
-        columns: list[tuple[_Channel, str, str]] = []
-        counts: dict[int, tuple[float, float]] = {}
+        columns: list[Column] = []
         with self._opened() as mdf:
             groups = [k for k, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
             self._require_inside(mdf, groups)
-            self.base_names = tuple(_group_names(mdf, groups))
+            self._groups, base_names = groups, _group_names(mdf, groups)
             self._masters: Mapping[int, Any] = dict(mdf.masters_db)
             for base, group in enumerate(groups):
-                prefix = f"{self.base_names[base]}." if len(groups) > 1 else ""
+                prefix = f"{base_names[base]}." if len(groups) > 1 else ""
                 for index, channel in enumerate(mdf.groups[group].channels):
+                    scale = _linear(channel.conversion, mdf.version)
                     for found in _parts(mdf, group, index):
                         suffix = "" if found.series is None else f"[{found.series}]"
-                        scale = _linear(channel.conversion, mdf.version)
-                        if scale is not None:
-                            counts[len(columns)] = scale
-                        name = f"{prefix}{channel.name}{suffix}"
-                        columns.append((found, name, str(channel.unit or "")))
+                        name, unit = f"{prefix}{channel.name}{suffix}", str(channel.unit or "")
+                        columns.append(Column(name, found, unit, base, scale))
         if not columns:
             raise InputError(f"{path}: holds no samples; check that the measurement was saved")
-        self._columns = [found for found, _, _ in columns]
-        self.names = tuple(name for _, name, _ in columns)
-        self.units = tuple(unit for _, _, unit in columns)
-        self.counts = counts
-        where = {group: base for base, group in enumerate(groups)}
-        self._groups = groups
-        self.bases = tuple(where[found.group] for found in self._columns)
+        self._lay_out(columns, base_names)
 
     def _require_inside(self, mdf: Any, groups: Sequence[int]) -> None:
         """Check that each channel lies within its records; asammdf reads beyond."""
@@ -96,7 +87,7 @@ class MdfTable(Table):
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         with self._opened() as mdf:
-            return [self._values(mdf, self._columns[k], self.names[k]) for k in columns]
+            return [self._values(mdf, self._sources[k], self.names[k]) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
         """Return the master channel of a group if it is time; see :meth:`Table.stamps`."""
@@ -222,12 +213,6 @@ class _Base(NamedTuple):
     waveform: _Waveform | None
 
 
-class _TdmsColumn(NamedTuple):
-    base: int
-    channel: str | None
-    """Name of the channel; None for the computed time of a waveform."""
-
-
 class TdmsTable(Table):
     """Table with one column for each channel, named ``group.channel``; with only one group, the
     name of the group is left out.
@@ -242,42 +227,33 @@ class TdmsTable(Table):
         self._nptdms = library("nptdms", path, "TDMS", "tdms")
         self._bases: list[_Base] = []
         self._whole: list[_Base] = []
-        found: list[tuple[_TdmsColumn, str, str]] = []
+        found: list[Column] = []
         with self._opened() as file:
             for group in file.groups():
                 for channel in group.channels():
                     if len(channel):
                         base = self._base_of(channel, file.file_status)
                         unit = _unit(channel.properties)
-                        found.append((_TdmsColumn(base, channel.name), channel.name, unit))
+                        found.append(Column(channel.name, channel.name, unit, base))
             if file.file_status.incomplete_final_segment:
                 self.note(
                     "the file is cut off; only rows that all channels of a group have are read"
                 )
         if not found:
             raise InputError(f"{path}: holds no channels with samples")
-        groups = {base.group for base in self._bases}
-        self.base_names = tuple(self._base_names())
-        columns: list[tuple[_TdmsColumn, str, str]] = []
+        columns: list[Column] = []
         for base, kept in enumerate(self._bases):
-            own = [one for one in found if one[0].base == base]
+            own = [column for column in found if column.base == base]
             if kept.waveform is not None:
-                names = {name for column, name, _ in found if self._group(column) == kept.group}
+                names = {c.name for c in found if self._bases[c.base].group == kept.group}
                 several = [b for b in self._bases if b.group == kept.group and b.waveform]
                 word = "time" if "time" not in names else "time_track"
-                name = word if len(several) == 1 else f"{own[0][1]}.{word}"
-                columns.append((_TdmsColumn(base, None), name, "s"))
+                name = word if len(several) == 1 else f"{own[0].name}.{word}"
+                columns.append(Column(name, None, "s", base))
             columns += own
-        self._columns = [column for column, _, _ in columns]
-        self.names = tuple(
-            name if len(groups) == 1 else f"{self._group(column)}.{name}"
-            for column, name, _ in columns
-        )
-        self.units = tuple(unit for _, _, unit in columns)
-        self.bases = tuple(column.base for column in self._columns)
-
-    def _group(self, column: _TdmsColumn) -> str:
-        return self._bases[column.base].group
+        if len({base.group for base in self._bases}) > 1:
+            columns = [c._replace(name=f"{self._bases[c.base].group}.{c.name}") for c in columns]
+        self._lay_out(columns, list(self._base_names()))
 
     def _base_of(self, channel: Any, status: Any) -> int:
         """Return the time base of a channel, by its length before the cut of a file."""
@@ -316,7 +292,7 @@ class TdmsTable(Table):
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         with self._opened() as file:
-            return [self._values(file, self._columns[k], self.names[k]) for k in columns]
+            return [self._values(file, k) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
         """Return the time of the waveform on the clock of the file; see :meth:`Table.stamps`.
@@ -344,16 +320,16 @@ class TdmsTable(Table):
         rows = np.arange(self._bases[base].length, dtype=np.float64)
         return waveform.offset + waveform.increment * rows
 
-    def _values(self, file: Any, column: _TdmsColumn, name: str) -> Array:
-        base = self._bases[column.base]
-        if column.channel is None:
+    def _values(self, file: Any, column: int) -> Array:
+        base, channel = self._bases[self.bases[column]], self._sources[column]
+        if channel is None:
             assert base.waveform is not None
-            return self._time(base.waveform, column.base)
-        samples: NDArray[Any] = file[base.group][column.channel][: base.length]
+            return self._time(base.waveform, self.bases[column])
+        samples: NDArray[Any] = file[base.group][channel][: base.length]
         if samples.dtype.names is not None:
-            self.note(f"`{name}` holds time stamps: read as seconds since the first")
+            self.note(f"`{self.names[column]}` holds time stamps: read as seconds since the first")
             return _stamp_seconds(samples)
-        return self.doubles(name, np.asarray(samples))
+        return self.doubles(self.names[column], np.asarray(samples))
 
 
 def _unit(properties: Mapping[str, Any]) -> str:

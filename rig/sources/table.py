@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, Any, cast
+from typing import IO, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,18 @@ from rig.common.errors import InputError
 from rig.common.places import require_plain
 
 Array = NDArray[np.float64]
+
+
+class Column(NamedTuple):
+    """A column of a recording file."""
+
+    name: str  # empty for a column without a name
+    source: Any  # what the reader of the format reads
+    unit: str = ""  # unit as the file states it
+    base: int = 0  # number of the time base
+    # Factor and offset if the file stores value = factor x whole number + offset; columns of whole
+    # numbers need none.
+    scale: tuple[float, float] | None = None
 
 
 class Table(ABC):
@@ -39,9 +51,7 @@ class Table(ABC):
     bases: tuple[int, ...] = ()
     base_names: tuple[str, ...] = ()  # name of each time base, for messages
     base: int = 0  # time base whose rows `place` counts
-    # Factor and offset of the columns that the file stores as value = factor x whole number +
-    # offset, by column; columns of whole numbers need no entry.
-    counts: Mapping[int, tuple[float, float]] = MappingProxyType({})
+    counts: Mapping[int, tuple[float, float]] = MappingProxyType({})  # scales by column
     # What the user can do about a damaged file.
     remedy: str = "check that the file was copied completely, or save it again"
 
@@ -62,6 +72,16 @@ class Table(ABC):
 
     def __init__(self, path: Path, options: Any = None) -> None:
         self.path = path
+
+    def _lay_out(self, columns: Sequence[Column], base_names: Sequence[str] = ()) -> None:
+        """Set the columns; ``base_names`` is empty if all of them have the same rows."""
+        self._sources = [column.source for column in columns]
+        self.names = tuple(column.name for column in columns)
+        units = tuple(column.unit for column in columns)
+        self.units = units if any(units) else ()
+        self.base_names = tuple(base_names)
+        self.bases = tuple(column.base for column in columns) if base_names else ()
+        self.counts = {k: c.scale for k, c in enumerate(columns) if c.scale is not None}
 
     @abstractmethod
     def _read(self, columns: Sequence[int]) -> list[Array]: ...

@@ -1,20 +1,19 @@
 """Reads text files, plain or gzipped: delimited text (CSV and similar), and JSON with records (a
 list of objects, or one object a line) or columns (an object of lists).
 
-Delimited files in which every row has as many cells as the header are read with numpy's compiled
-reader, which is fast. Other files are read row by row, and may have empty cells, quotes, row names,
-dates and times, and trailing commas.
+The rows of a delimited file may have empty cells, quotes, row names, dates and times, and trailing
+commas.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date
-from itertools import islice
+from itertools import islice, repeat
 from pathlib import Path
 from typing import Any, TextIO, cast
 
@@ -22,7 +21,7 @@ import numpy as np
 
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.table import EXACT, Array, Table, open_binary
+from rig.sources.table import EXACT, Array, Column, Table, open_binary
 
 BLANKS = " "  # symbol for the delimiter of aligned columns: any number of blanks or tabs
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
@@ -225,12 +224,12 @@ class DelimitedTable(Table):
         self._delimiter = options.delimiter or _guess_delimiter(
             [text for _, text in head], options.decimal
         )
-        self._lay_out(head)
+        self._detect(head)
         above = split(skipped[-1], self._delimiter) if skipped else []
         if len(above) == len(self.names) > 1 and _numbers(above, self._decimal):
             self.note("the last skipped line contains numbers: check read.skip_rows")
 
-    def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
+    def _detect(self, head: Sequence[tuple[int, str]]) -> None:
         """Detect header, units, row names and columns of dates in the first lines."""
         line, text = head[0]
         cells = split(text, self._delimiter)
@@ -297,11 +296,9 @@ class DelimitedTable(Table):
                 )
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
-        try:
-            fast = self._decimal == "." and not self._zero and self._even()
-            table = self._read_fast(columns) if fast else self._read_tolerant(columns)
-        except ValueError:
-            table = self._read_tolerant(columns)
+        with open_text(self.path, self._encoding) as stream:
+            row: Any = (np.float64, len(columns))
+            table: Array = np.fromiter(self._numbers(stream, columns), row)
         if table.size == 0:
             raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
         return [table[:, k] for k in range(len(columns))]
@@ -314,68 +311,41 @@ class DelimitedTable(Table):
                     return f"{self.path}:{line}"
         return super().place(row)
 
-    def _even(self) -> bool:
-        """Return whether each row has as many cells as the header, without quotes and comments."""
-        if self._first_row:
-            return False
-        delimiter, others = self._delimiter, 0
-        counts: Counter[int] = Counter()
-        with open_text(self.path, self._encoding) as stream:
-            for text in islice(stream, self._skip, None):
-                if text == "\n":
-                    continue
-                others += '"' in text or "#" in text
-                counts[len(text.split()) - 1 if delimiter == BLANKS else text.count(delimiter)] += 1
-        return not others and set(counts) <= {len(self.names) - 1}
-
-    def _read_fast(self, columns: Sequence[int]) -> Array:
-        with open_text(self.path, self._encoding) as stream:
-            if next(self._rows(stream), None) is None:
-                return np.empty((0, len(columns)))
-        return np.loadtxt(
-            str(self.path.resolve()),
-            delimiter=None if self._delimiter == BLANKS else self._delimiter,
-            comments=None,
-            skiprows=self._skip,
-            usecols=list(columns),
-            ndmin=2,
-            encoding=self._encoding,
-        )
-
-    def _read_tolerant(self, columns: Sequence[int]) -> Array:
-        width = len(columns)
-        with open_text(self.path, self._encoding) as stream:
-            values = np.fromiter(self._cells(stream, columns), np.float64)
-        return values.reshape(-1, width)
-
-    def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row; rows without values are missing samples."""
-        empty: list[int] = []
-        short = 0
+    def _numbers(self, stream: TextIO, columns: Sequence[int]) -> Iterator[list[float]]:
+        """Yield the required cells of each row; rows without values are missing samples."""
+        empty = short = 0
         for line, text in self._rows(stream):
-            cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
-            if cells[0].lower() in END_MARKS and not any(cells[1:]):
-                self._end(stream, line, cells[0])
-                break
-            if not any(cells):
-                empty.append(line)
-                continue
-            for _ in empty:
-                yield from (float("nan") for _ in columns)
-            empty = []
-            short += self._check_width(cells, line)
-            for column in columns:
-                if column + self._first_row >= len(cells):
-                    raise InputError(
-                        f"{self.path}:{line}: {len(cells)} columns, but column "
-                        f"{self._name(column)} is needed"
-                        f" (got {text[:60]!r}); repair or remove the line"
-                    )
-                yield self._number(cells[column + self._first_row], line, column)
+            numbers = self._plain_numbers(text, columns)
+            if numbers is None:
+                cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
+                if cells[0].lower() in END_MARKS and not any(cells[1:]):
+                    self._end(stream, line, cells[0])
+                    break
+                if not any(cells):
+                    empty += 1
+                    continue
+                short += self._check_width(cells, line)
+                numbers = [self._number(cells, line, column) for column in columns]
+            if empty:
+                yield from repeat([math.nan] * len(columns), empty)
+                empty = 0
+            yield numbers
         if empty:
-            self.note(f"{len(empty)} rows without values at the end dropped")
+            self.note(f"{empty} rows without values at the end dropped")
         if short:
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
+
+    def _plain_numbers(self, text: str, columns: Sequence[int]) -> list[float] | None:
+        """Return the required cells of a row that needs no further care, which is fast."""
+        if self._decimal != "." or self._zero or '"' in text or "_" in text:
+            return None
+        cells = text.split(None if self._delimiter == BLANKS else self._delimiter)
+        if len(cells) != len(self.names) + self._first_row:
+            return None
+        try:
+            return [float(cells[column + self._first_row]) for column in columns]
+        except ValueError:
+            return None
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
         if any(text.strip() for text in stream):
@@ -403,7 +373,13 @@ class DelimitedTable(Table):
             f"the columns are uncertain; {remedy}"
         )
 
-    def _number(self, text: str, line: int, column: int) -> float:
+    def _number(self, cells: Sequence[str], line: int, column: int) -> float:
+        if column + self._first_row >= len(cells):
+            raise InputError(
+                f"{self.path}:{line}: {len(cells)} columns, but column {self._name(column)} is "
+                f"needed (got {' '.join(cells)[:60]!r}); repair or remove the line"
+            )
+        text = cells[column + self._first_row]
         if column in self._zero:
             when = nanoseconds(text)
             if when is not None:
@@ -473,6 +449,10 @@ class Stamp(int):
     """Time stamp, ns; its column is read as seconds since the first stamp of the topic."""
 
 
+class Duration(dict[str, Any]):
+    """Seconds and nanoseconds of a duration; its column is in s."""
+
+
 def parse(text: str) -> Any:
     """Parse JSON; ValueError also for a key that an object has twice, or RecursionError."""
     return json.loads(text, object_pairs_hook=_object)
@@ -522,17 +502,18 @@ def number(value: object) -> float | None:
     return None
 
 
-def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp in an object of seconds and nanoseconds, or None."""
+def _time_in(value: Mapping[str, object]) -> float | None:
+    """Return the time stamp or duration in an object of seconds and nanoseconds, or None."""
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
         return None
     whole, rest = (parts[key] for key in sorted(parts, key=lambda key: key[0] == "n"))
-    return Stamp(whole * 10**9 + rest)
+    time_ns = whole * 10**9 + rest
+    return time_ns / 1e9 if isinstance(value, Duration) else Stamp(time_ns)
 
 
 def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield dotted name and value of every number inside a JSON message.
+    """Yield dotted name and value of every number inside a message.
 
     An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds gives one
     additional column, named by both keys; a date in text is one column.
@@ -540,8 +521,8 @@ def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
     if isinstance(value, dict):
         for key, child in value.items():
             yield from numbers(child, f"{prefix}.{key}" if prefix else str(key))
-        if prefix and (stamp := stamp_of(value)) is not None:
-            yield prefix, stamp
+        if prefix and (time := _time_in(value)) is not None:
+            yield prefix, time
     elif isinstance(value, list):
         if len(value) <= LONGEST_LIST:
             for index, child in enumerate(value):
@@ -561,27 +542,19 @@ _Rows = tuple[str, Sequence[Mapping[str, float]]]
 class RowsTable(Table):
     """Rows of numbers by name, in one or several time bases, with NaN for what a row lacks."""
 
-    def _lay_out(
-        self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
-    ) -> None:
-        names, self._bases = zip(*bases, strict=True)
-        self._columns = [
-            (base, name)
-            for base, rows in enumerate(self._bases)
+    def _take_rows(self, bases: Iterable[_Rows], prefixed: bool) -> None:
+        base_names, self._bases = zip(*bases, strict=True)
+        columns = [
+            Column(f"{place}.{name}" if prefixed and place else name, name, base=base)
+            for base, (place, rows) in enumerate(zip(base_names, self._bases, strict=True))
             for name in dict.fromkeys(name for row in rows for name in row)
         ]
-        self.base_names = names
-        self.bases = tuple(base for base, _ in self._columns)
-        self.names = tuple(
-            f"{self.base_names[base]}.{name}" if prefixed and self.base_names[base] else name
-            for base, name in self._columns
-        )
+        self._lay_out(columns, base_names)
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
-            base, name = self._columns[k]
-            values, note = series(self._bases[base], name)
+            values, note = series(self._bases[self.bases[k]], self._sources[k])
             if note:
                 self.note(f"`{self.names[k]}`: {note}")
             found.append(values)
@@ -620,7 +593,7 @@ class JsonTable(RowsTable):
             )
         if words:
             self.note(f"left out: {words}")
-        self._lay_out(tables, len(tables) > 1)
+        self._take_rows(tables, len(tables) > 1)
         self.base_names = tuple(
             f"{place or 'the file'} ({len(rows)} rows)" for place, rows in tables
         )
@@ -726,7 +699,7 @@ class JsonLinesTable(RowsTable):
             for line, text in enumerate(stream, start=1):
                 if text.strip():
                     self._take(line, text)
-        self._lay_out([("", self._rows)], False)
+        self._take_rows([("", self._rows)], False)
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")
 

@@ -569,7 +569,9 @@ def test_a_units_line_below_the_header_is_told_from_a_broken_row(tmp_path: Path)
         delimited(tmp_path, "t,x\ns,1\n0,1\n").read([0])
 
 
-CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).random(5000)))[:-5000]
+CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).random(5000).tolist()))[
+    :-5000
+]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rig.common.sample import Sample
 from rig.common.timing import EDGES_US, RESOLUTION, Histogram, Timing, summary
 from rig.runs import run
 from rig.runs.mcap import reader as mcap_stream
-from rig.runs.mcap.reader import DamageError, read_run, run_items
+from rig.runs.mcap.reader import Damage, read_run, run_items
 from rig.runs.recorder import open_recorder
 from rig.runs.run import describe, drift_ppm
 from rig.runs.run_record import Load, SegmentRecord
@@ -54,33 +54,34 @@ def segment(index: int, samples: int, stage: Load = "unloaded") -> SegmentRecord
 def test_segments_are_cut_out(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 10_000)
     wanted = [segment(1, 1000), segment(2, 1500, "hot_fire")]
-    streamed, damage = run.by_segment(recording, wanted, whole=True)
-    at_once, _ = run.by_segment(recording, wanted, whole=False)
+    streamed, damage = run.by_segment(recording, wanted)
+    at_once = read_run(recording).samples
     assert damage is None
     assert [len(streamed[k]["time"]) for k in (1, 2)] == [1000, 1500]
     for k in (1, 2):
-        assert list(streamed[k]) == list(at_once[k])
+        mine = at_once["segment"] == k
         for name, values in streamed[k].items():
-            assert np.array_equal(values, at_once[k][name], equal_nan=True), name
+            assert np.array_equal(values, at_once[name][mine], equal_nan=True), name
     assert "pressure" in streamed[2]
     assert "pressure" not in streamed[1]
 
 
 def test_a_very_long_run_leaves_out_what_identification_does_without(recording, monkeypatch):
     monkeypatch.setattr(run, "MOST_SAMPLES", 2000)
-    streamed, _ = run.by_segment(recording, [segment(1, 1000), segment(2, 1500)], whole=True)
+    streamed, _ = run.by_segment(recording, [segment(1, 1000), segment(2, 1500)])
     assert not set(run.LEFT_OUT) & streamed[1].keys()
     assert {"command", "motor_angle", "angle", "current", "time"} <= streamed[1].keys()
 
 
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.999])
-def test_a_file_cut_short_is_damage_and_read_at_once(recording: Path, cut: float) -> None:
+def test_a_file_cut_short_is_damage_and_read_to_the_cut(recording: Path, cut: float) -> None:
     data = recording.read_bytes()
     recording.write_bytes(data[: int(cut * len(data))])
-    with pytest.raises(DamageError):
-        list(run_items(recording, ["time"], only_samples=True))
-    found, damage = run.by_segment(recording, [segment(1, 1000)], whole=True)
+    *_, last = run_items(recording, ["time"], only_samples=True)
+    found, damage = run.by_segment(recording, [segment(1, 1000)])
     assert damage is not None
+    assert last == Damage(damage)
+    assert damage == read_run(recording).damage
     assert len(found[1]["time"]) == min(
         1000, np.count_nonzero(read_run(recording).samples["segment"] == 1)
     )
@@ -90,14 +91,14 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     path.write_bytes(b"something else entirely")
     with pytest.raises(InputError, match="not an MCAP recording"):
-        run.by_segment(path, [segment(1, 10)], whole=True)
+        run.by_segment(path, [segment(1, 10)])
     with pytest.raises(InputError, match="cannot be read"):
-        run.by_segment(tmp_path / "missing.mcap", [segment(1, 10)], whole=True)
+        run.by_segment(tmp_path / "missing.mcap", [segment(1, 10)])
 
 
 @pytest.mark.parametrize("said", [0, 400, 10**15])
 def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said: int) -> None:
-    found, damage = run.by_segment(recording, [segment(1, said)], whole=True)
+    found, damage = run.by_segment(recording, [segment(1, said)])
     assert damage is None
     assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
 
@@ -105,15 +106,15 @@ def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said:
 def test_a_stream_holds_little_beside_what_it_returns(recording, monkeypatch):
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 20_000)
     wanted = [segment(1, 1000), segment(2, 1500)]
-    peaks = {}
-    for whole in (True, False):
-        tracemalloc.start()
-        found, _ = run.by_segment(recording, wanted, whole=whole)
-        peaks[whole] = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
+    tracemalloc.start()
+    found, _ = run.by_segment(recording, wanted)
+    peak = tracemalloc.get_traced_memory()[1]
+    read_run(recording)
+    at_once = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     size = sum(values.nbytes for samples in found.values() for values in samples.values())
-    assert peaks[True] < 1.6 * size
-    assert peaks[False] > 3.0 * size
+    assert peak < 1.6 * size
+    assert at_once > 3.0 * size
 
 
 TIME = 1e-3 * np.arange(20_000)

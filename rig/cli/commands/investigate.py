@@ -306,18 +306,19 @@ def design(
     from rig.common.provenance import heading
     from rig.config.bench import load_bench
     from rig.config.sequence import plain_sequence, sequence_text
+    from rig.investigate.choice import propose
     from rig.investigate.experiments import SimulatedBench
-    from rig.investigate.investigation import judge, next_experiment
+    from rig.investigate.investigation import judge_recordings, read_runs
     from rig.terminal.output import ShareBar
 
     require_file(out, "--out")
     bench_file = load_bench(bench)
     with ShareBar() as bar:
-        judged = judge(runs, seed, _effects(question), bar)
-        simulated, number = SimulatedBench.of(bench_file), len(runs) + 1
-        found = next_experiment(simulated, judged, seed, number, bar).proposal
+        judged = judge_recordings(read_runs(runs), runs[0], seed, _effects(question), bar)
+        known = SimulatedBench.of(bench_file), judged.weighed, judged.diagnosis.fit.bandwidth_Hz
+        found = propose(*known, seed, len(runs) + 1, bar).proposal
         if found is None:
-            found = next_experiment(simulated, judged, seed, number, bar, cover=True).proposal
+            found = propose(*known, seed, len(runs) + 1, bar, cover=True).proposal
     record = {
         **heading("loadrig.design/1"),
         "seed": seed,

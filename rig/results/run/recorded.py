@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.records import Attachment
 from numpy.typing import NDArray
 
 from drivers.canopen.cia402 import decode_state
@@ -33,8 +34,8 @@ from rig.planning.first_pass import PlannedPass
 from rig.planning.limits import Limits
 from rig.planning.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, make_plan
 from rig.runs.decimation import Decimation
-from rig.runs.mcap.reader import Attached, Block, DamageError, Happening, run_items
-from rig.runs.run import read_log
+from rig.runs.mcap.reader import Block, Damage, Happening, run_items
+from rig.runs.run import readable
 from rig.runs.run_file import recorded_bench
 from rig.runs.run_record import (
     BENCH_ATTACHMENT,
@@ -294,23 +295,13 @@ def _with_gaps(series: Series, before: NDArray[np.intp]) -> Series:
 
 
 def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:
-    """Read one recording of a run.
-
-    A recording that was not closed in order is read at once, and its damage is reported.
-    """
-    try:
+    """Read one recording of a run, of a damaged one what is left."""
+    with readable(path):
         return _gathered(run_items(path, Sample._fields), bench, cycle_s)
-    except (DamageError, OSError):
-        log = read_log(path)
-    blocks = [Block(log.samples)] if len(log.samples["time"]) else []
-    found = _gathered([*map(Happening, log.events), *blocks], bench, cycle_s)
-    found.attachments.update(log.attachments)
-    found.damage = log.damage
-    return found
 
 
 def _gathered(
-    items: Iterable[Block | Happening | Attached], bench: Constants, cycle_s: float
+    items: Iterable[Block | Happening | Attachment | Damage], bench: Constants, cycle_s: float
 ) -> Traces:
     traces, derive = Traces(), Deriver(bench, cycle_s)
     decimation = Decimation(len(NAMES), cycle_s)
@@ -318,8 +309,10 @@ def _gathered(
     for item in items:
         if isinstance(item, Happening):
             traces.events.append(item.event)
-        elif isinstance(item, Attached):
-            traces.attachments[item.name] = item.content
+        elif isinstance(item, Attachment):
+            traces.attachments[item.name] = item.data
+        elif isinstance(item, Damage):
+            traces.damage = item.words
         else:
             derived = derive(item.samples, traces.events)
             traces.count += len(derived.time)

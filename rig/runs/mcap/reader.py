@@ -1,16 +1,17 @@
-"""Reads an intact or damaged recording: all undamaged records, and what was lost."""
+"""Reads an intact, damaged or growing recording: all undamaged records, and what was lost."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import lz4.frame
 import numpy as np
@@ -20,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Statistics
 from numpy.typing import NDArray
 
-from rig.common.places import read_bytes, require_plain
+from rig.common.places import require_plain
 from rig.runs.mcap.layout import (
     EVENT_TOPIC,
     SAMPLE_BYTES,
@@ -30,20 +31,55 @@ from rig.runs.mcap.layout import (
 )
 from rig.runs.mcap.writer import FOOTER_START, MAGIC, MESSAGE
 
+START = len(MAGIC)  # offset of the first record
 HEADER = struct.Struct("<BQ")  # header of every record: opcode and length
 _CHUNK = struct.Struct("<QQQI")
-MAX_CHUNK = 1 << 28
+_TIMES = struct.Struct("<QQ")  # first and last log time of a chunk, at the start of its content
+_FOOTER = struct.Struct("<BQQQI")
+MAX_RECORD = 1 << 28  # length above which a record counts as damaged, bytes
 OPCODES = frozenset(map(int, Opcode))
 _CHECKED = re.compile(rb"[\x06\x09](?=[\s\S]{4}\x00\x00\x00\x00)")
 """First bytes of a chunk or an attachment of less than 4 GiB, the records with a checksum."""
-_FOOTER = struct.Struct("<BQQQI")
+_DATA_END_BYTES = 4
+_TOLD = 3  # number of damaged places that a message describes; further places are only counted
+BLOCK_BYTES = 1 << 20
 
 
 class DamageError(Exception):
     """A record is damaged."""
 
 
-class Found(NamedTuple):
+class CutOffError(DamageError):
+    """The file ends before the record is complete."""
+
+
+class NotARecordingError(DamageError):
+    """The file is not a recording of this program."""
+
+    def __init__(self, begin: bytes) -> None:
+        said = begin.hex(" ") or "missing"
+        super().__init__(f"not an MCAP recording; the first bytes are {said}")
+
+
+class Message(NamedTuple):
+    """One message of a recording."""
+
+    time_ns: int
+    data: bytes
+
+
+Messages = tuple[tuple[str, Message], ...]
+"""Topics and messages in recorded order."""
+
+
+class Piece(NamedTuple):
+    """One record of a recording."""
+
+    messages: Messages  # empty for a record without messages
+    following: int | None  # offset of the next record, or None for the last record
+
+
+class Record(NamedTuple):
     """One top-level record: its opcode and content, and the offset of its end."""
 
     opcode: int
@@ -51,34 +87,23 @@ class Found(NamedTuple):
     end: int
 
 
-def _record_at(data: bytes, offset: int) -> Found:
-    """Extract the record at ``offset``."""
-    if offset + HEADER.size > len(data):
-        raise DamageError("cut off inside a record header")
-    opcode, length = HEADER.unpack_from(data, offset)
-    start = offset + HEADER.size
-    if opcode == 0:
-        raise DamageError("zeros in place of a record")
-    if opcode not in OPCODES:
-        raise DamageError(f"no record begins with the byte {opcode:02X}h")
-    if start + length > len(data):
-        raise DamageError("cut off inside a record")
-    return Found(opcode, data[start : start + length], start + length)
-
-
-def _next_sound(data: bytes, offset: int) -> int | None:
-    """Return the offset of the next chunk or attachment with a correct checksum, or None."""
-    for match in _CHECKED.finditer(data, offset):
-        try:
-            found = _record_at(data, match.start())
-            if found.opcode == Opcode.CHUNK:
-                chunk(found.content)
-            else:
-                attachment(found.content)
-        except DamageError:
-            continue
-        return match.start()
-    return None
+def chunk(content: bytes) -> bytes:
+    """Return a chunk's records, checked against its CRC."""
+    try:
+        _, _, size, crc = _CHUNK.unpack_from(content)
+        (name_length,) = struct.unpack_from("<I", content, _CHUNK.size)
+        name_start = _CHUNK.size + 4
+        compression = content[name_start : name_start + name_length]
+        records = content[name_start + name_length + 8 :]
+        if size > MAX_RECORD:
+            raise DamageError(f"a chunk states the impossible size of {size} bytes")
+        if compression == b"lz4":
+            records = lz4.frame.decompress(records)
+    except (struct.error, RuntimeError) as error:
+        raise DamageError(f"a chunk cannot be unpacked ({error})") from error
+    if len(records) != size or zlib.crc32(records) != crc:
+        raise DamageError("a chunk does not agree with its checksum")
+    return records
 
 
 def attachment(content: bytes) -> Attachment:
@@ -97,63 +122,307 @@ def _parsed(kind: Any, content: bytes, what: str) -> Any:
         raise DamageError(f"{what} cannot be read ({error})") from error
 
 
-def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
-    """Return the counts at the end of a complete recording, whose summary begins at ``offset``;
-    their CRC is checked.
+def require_samples(messages: Iterable[bytes]) -> None:
+    """Raise DamageError unless all messages have the size of a sample."""
+    for size in {*map(len, messages)} - {SAMPLE_BYTES}:
+        raise DamageError(
+            f"a sample has {size} bytes, expected {SAMPLE_BYTES}: another program wrote this "
+            "recording"
+        )
 
-    ``before`` is the number of bytes of the recording before ``data``.
+
+def _messages(records: bytes, wanted: Sequence[str] = TOPICS) -> tuple[Messages, int]:
+    """Return the messages of the wanted topics in a chunk's records, and the number of all."""
+    found = []
+    offset, size, count = 0, len(records), 0
+    unpack, head, body, kind = HEADER.unpack_from, HEADER.size, MESSAGE.size, int(Opcode.MESSAGE)
+    while offset < size:
+        opcode, length = unpack(records, offset)
+        end = offset + head + length
+        if opcode == kind:
+            count += 1
+            number = records[offset + head] | records[offset + head + 1] << 8
+            if not 1 <= number <= len(TOPICS):
+                raise DamageError(
+                    f"a message on channel {number}, which runs do not have: "
+                    "another program wrote this recording"
+                )
+            if (topic := TOPICS[number - 1]) in wanted:
+                time_ns = MESSAGE.unpack_from(records, offset)[4]
+                found.append((topic, Message(time_ns, records[offset + body : end])))
+        offset = end
+    return tuple(found), count
+
+
+class RecordFile:
+    """An open recording, which may be damaged or still grow. A context manager.
+
+    Raises:
+        OSError: The file cannot be opened.
+        NotARecordingError: The file is not a recording.
     """
-    footer_at = len(data) - len(MAGIC) - _FOOTER.size
-    if not data.endswith(MAGIC) or footer_at < offset:
-        raise DamageError("the index at the end of the file is cut off")
-    opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer_at)
-    if (
-        opcode != Opcode.FOOTER
-        or start != before + offset
-        or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc
-    ):
-        raise DamageError("the index at the end of the file does not agree with its checksum")
-    while offset < footer_at:
-        found = _record_at(data, offset)
-        if found.opcode == Opcode.STATISTICS:
-            counts: Statistics = _parsed(Statistics, found.content, "the statistics")
-            return counts
-        offset = found.end
-    raise DamageError("the index at the end of the file holds no statistics")
+
+    def __init__(self, path: Path) -> None:
+        require_plain(path)
+        self._stream = open(path, "rb")  # noqa: SIM115 - closed by :meth:`__exit__`
+        self.begin = self._stream.read(len(MAGIC))
+        if not MAGIC.startswith(self.begin):
+            self._stream.close()
+            raise NotARecordingError(self.begin)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    @property
+    def size(self) -> int:
+        """Present length of the file, bytes."""
+        return os.fstat(self._stream.fileno()).st_size
+
+    def record(self, offset: int) -> Record:
+        """Read the record at ``offset``.
+
+        Raises:
+            CutOffError: The record is not complete, or not complete yet.
+            DamageError: No record begins there.
+        """
+        opcode, end = self._head(offset)
+        if end > self.size:
+            raise CutOffError("cut off inside a record")
+        return Record(opcode, self._stream.read(end - self._stream.tell()), end)
+
+    def at(self, offset: int) -> Piece | None:
+        """Read the record at ``offset``; return None if the record is not complete yet."""
+        try:
+            found = self.record(offset)
+        except CutOffError:
+            return None
+        if found.opcode == Opcode.DATA_END:
+            return Piece((), None)
+        whole = found.opcode == Opcode.CHUNK
+        return Piece(_messages(chunk(found.content))[0] if whole else (), found.end)
+
+    def since(self, seconds: float) -> int:
+        """Return the offset of the first chunk with data of the last ``seconds`` of the recording;
+        only the heads of the records are read.
+        """
+        chunks: list[tuple[int, int]] = []
+        offset = START
+        while True:
+            try:
+                opcode, end = self._head(offset)
+            except CutOffError:
+                break
+            times = self._stream.read(_TIMES.size)
+            if opcode == Opcode.DATA_END or len(times) < _TIMES.size:
+                break
+            if opcode == Opcode.CHUNK:
+                chunks.append((offset, _TIMES.unpack(times)[1]))
+            offset = end
+        latest = max((end for _, end in chunks), default=0)
+        recent = (at for at, end in chunks if end >= latest - seconds * 1e9)
+        return next(recent, START)
+
+    def next_sound(self, offset: int) -> int | None:
+        """Return the offset of the next chunk or attachment with a correct checksum, or None."""
+        while True:
+            self._stream.seek(offset)
+            block = self._stream.read(BLOCK_BYTES)
+            for match in _CHECKED.finditer(block):
+                try:
+                    found = self.record(offset + match.start())
+                    (chunk if found.opcode == Opcode.CHUNK else attachment)(found.content)
+                except DamageError:
+                    continue
+                return offset + match.start()
+            if len(block) < BLOCK_BYTES:
+                return None
+            offset += len(block) - HEADER.size + 1
+
+    def statistics(self, start: int) -> Statistics:
+        """Return the counts in the summary of a complete recording, whose CRC is checked.
+
+        ``start``: offset of the summary.
+        """
+        self._stream.seek(start)
+        summary = self._stream.read()
+        footer_at = len(summary) - len(MAGIC) - _FOOTER.size
+        if not summary.endswith(MAGIC) or footer_at < 0:
+            raise DamageError("the index at the end of the file is cut off")
+        opcode, _, stated, _, crc = _FOOTER.unpack_from(summary, footer_at)
+        right = zlib.crc32(summary[: footer_at + FOOTER_START.size]) == crc
+        if opcode != Opcode.FOOTER or stated != start or not right:
+            raise DamageError("the index at the end of the file does not agree with its checksum")
+        offset = start
+        while offset < start + footer_at:
+            found = self.record(offset)
+            if found.opcode == Opcode.STATISTICS:
+                counts: Statistics = _parsed(Statistics, found.content, "the statistics")
+                return counts
+            offset = found.end
+        raise DamageError("the index at the end of the file holds no statistics")
+
+    def _head(self, offset: int) -> tuple[int, int]:
+        """Return opcode and end of the record at ``offset``; its content is to be read next."""
+        self._stream.seek(offset)
+        head = self._stream.read(HEADER.size)
+        if len(head) < HEADER.size:
+            raise CutOffError("cut off inside a record header")
+        opcode, length = HEADER.unpack(head)
+        if opcode == 0:
+            raise DamageError("zeros in place of a record")
+        if opcode not in OPCODES:
+            raise DamageError(f"no record begins with the byte {opcode:02X}h")
+        if length > MAX_RECORD:
+            raise DamageError(f"a record states the impossible length of {length} bytes")
+        return opcode, offset + HEADER.size + length
 
 
-def chunk(content: bytes) -> bytes:
-    """Return a chunk's records, checked against its CRC."""
-    try:
-        _, _, size, crc = _CHUNK.unpack_from(content)
-        (name_length,) = struct.unpack_from("<I", content, _CHUNK.size)
-        name_start = _CHUNK.size + 4
-        compression = content[name_start : name_start + name_length]
-        records = content[name_start + name_length + 8 :]
-        if size > MAX_CHUNK:
-            raise DamageError(f"a chunk states the impossible size of {size} bytes")
-        if compression == b"lz4":
-            records = lz4.frame.decompress(records)
-    except (struct.error, RuntimeError) as error:
-        raise DamageError(f"a chunk cannot be unpacked ({error})") from error
-    if len(records) != size or zlib.crc32(records) != crc:
-        raise DamageError("a chunk does not agree with its checksum")
-    return records
+def first_attachment(path: Path, name: str) -> bytes:
+    """Return an attachment that was written before the first messages.
+
+    Raises:
+        DamageError: No attachment has this name, or the attachment is damaged.
+    """
+    with RecordFile(path) as file:
+        found = file.record(START)
+        while found.opcode not in (Opcode.CHUNK, Opcode.DATA_END):
+            if found.opcode == Opcode.ATTACHMENT:
+                own = attachment(found.content)
+                if own.name == name:
+                    return bytes(own.data)
+            found = file.record(found.end)
+    raise DamageError(f"{name} is not attached before the first messages")
 
 
-_DATA_END_BYTES = 4
-_TOLD = 3  # number of damaged places that a message describes; further places are only counted
+@dataclass
+class _Loss:
+    """A damaged place: a message, and the samples before and after it; empty for none."""
+
+    words: str
+    before: bytes
+    after: bytes = b""
+
+    def told(self) -> str:
+        """Return the message with the times of the samples before and after."""
+        if not (self.before and self.after):
+            return self.words
+        last, first = decode_samples(self.before + self.after)["time"].tolist()
+        return f"{self.words} (lost between {last:.3f} and {first:.3f} s)"
 
 
-class NotARecordingError(ValueError):
-    """The file is not a recording, or holds no samples; the message names the file."""
+class _Reading:
+    """One pass over a recording. After a damaged place, it continues at the next record with a
+    correct checksum.
 
+    Args:
+        file: The recording.
+        wanted: Topics whose messages are read.
+        only_messages: Whether to skip attachments, metadata and channels.
+    """
 
-class Message(NamedTuple):
-    """One message of a recording."""
+    def __init__(
+        self, file: RecordFile, wanted: Sequence[str] = TOPICS, only_messages: bool = False
+    ) -> None:
+        if len(file.begin) < len(MAGIC):
+            raise NotARecordingError(file.begin)
+        self._file, self._wanted, self._only_messages = file, wanted, only_messages
+        self._losses: list[_Loss] = []
+        self._latest_ns = 0
+        self._last = b""
+        self._samples = self._messages = 0
 
-    time_ns: int
-    data: bytes
+    def contents(self) -> Iterator[Attachment | Metadata | Messages]:
+        """Yield the content of each undamaged record to the end of the file."""
+        offset = START
+        while offset < self._file.size:
+            try:
+                found = self._file.record(offset)
+                if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
+                    self._compare(found.end)
+                    return
+                content = self._content(found)
+                offset = found.end
+            except DamageError as error:
+                sound = self._file.next_sound(offset + 1)
+                self._note(offset, sound, str(error))
+                if sound is None:
+                    return
+                offset = sound
+            else:
+                if content is not None:
+                    yield content
+        self._note(offset, None, "the end of the recording was never written")
+
+    @property
+    def damage(self) -> str | None:
+        """Message on the damage so far, with the number of samples, or None without damage."""
+        if not self._losses:
+            return None
+        told = [loss.told() for loss in self._losses[:_TOLD]]
+        if len(self._losses) > _TOLD:
+            told.append(f"and {len(self._losses) - _TOLD} more places")
+        return f"{'; '.join(told)}; {self._samples} samples recovered"
+
+    def _note(self, offset: int, sound: int | None, why: str) -> None:
+        where = (
+            f"whole up to byte {offset} of {self._file.size}"
+            if not self._losses
+            else f"damaged again at byte {offset}"
+        )
+        rest = "" if sound is None else f", sound again from byte {sound}"
+        self._losses.append(_Loss(f"{where}: {why}{rest}", self._last))
+
+    def _content(self, found: Record) -> Attachment | Metadata | Messages | None:
+        """Return what a record contains; None for a record that only describes others."""
+        match found.opcode:
+            case Opcode.CHUNK:
+                return self._checked(chunk(found.content))
+            case _ if self._only_messages:
+                return None
+            case Opcode.ATTACHMENT:
+                return attachment(found.content)
+            case Opcode.METADATA:
+                item: Metadata = _parsed(Metadata, found.content, "metadata")
+                return item
+            case Opcode.CHANNEL:
+                channel = _parsed(Channel, found.content, "a channel")
+                if (channel.id, channel.topic) not in enumerate(TOPICS, start=1):
+                    raise DamageError(
+                        f"channel {channel.id} is {channel.topic!r}, which is not a topic of a run"
+                    )
+        return None
+
+    def _checked(self, records: bytes) -> Messages:
+        """Return the wanted messages of a chunk; an error in one of them drops the whole chunk."""
+        messages, count = _messages(records, self._wanted)
+        samples = [message.data for topic, message in messages if topic == SAMPLE_TOPIC]
+        require_samples(samples)
+        if messages:
+            if messages[0][1].time_ns < self._latest_ns:
+                raise DamageError("a chunk is older than the chunk before it")
+            self._latest_ns = messages[-1][1].time_ns
+        if samples:
+            for loss in self._losses:
+                loss.after = loss.after or samples[0]
+            self._last = samples[-1]
+        self._samples += len(samples)
+        self._messages += count
+        return messages
+
+    def _compare(self, summary: int) -> None:
+        """Compare the number of messages with the counts in the summary of the file."""
+        try:
+            stated = self._file.statistics(summary).message_count
+        except DamageError as error:
+            self._note(summary, None, str(error))
+            return
+        if (missing := stated - self._messages) and not self._losses:
+            self._losses.append(_Loss(f"{missing} of {stated} messages are missing", self._last))
 
 
 @dataclass(frozen=True)
@@ -171,263 +440,33 @@ class Log:
 
 
 def read_run(path: Path) -> Log:
-    """Read a recording.
-
-    After a damaged place, reading continues at the next record with a correct checksum.
+    """Read a recording as a whole.
 
     Raises:
         NotARecordingError: The file is not a recording of this program.
-        OSError: The file cannot be opened.
+        OSError: The file cannot be read.
     """
-    data = read_bytes(path)
-    if not data.startswith(MAGIC):
-        raise NotARecordingError(
-            f"{path}: not an MCAP recording; the first bytes are {data[:8].hex(' ') or 'missing'}"
-        )
-    reading = _Reading(data)
-    reading.read()
-    messages = reading.messages
+    messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
+    attachments: dict[str, bytes] = {}
+    metadata: dict[str, Mapping[str, str]] = {}
+    with RecordFile(path) as file:
+        reading = _Reading(file)
+        for content in reading.contents():
+            if isinstance(content, Attachment):
+                attachments[content.name] = content.data
+            elif isinstance(content, Metadata):
+                metadata[content.name] = content.metadata
+            else:
+                for topic, message in content:
+                    messages[topic].append(message)
     return Log(
-        samples=reading.samples(),
+        samples=decode_samples(b"".join(m.data for m in messages[SAMPLE_TOPIC])),
         events=tuple(json.loads(m.data) for m in messages[EVENT_TOPIC]),
         messages=messages,
-        attachments=reading.attachments,
-        metadata=reading.metadata,
-        damage=reading.damage(),
+        attachments=attachments,
+        metadata=metadata,
+        damage=reading.damage,
     )
-
-
-class _Reading:
-    """State while a recording is read."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._latest_ns = 0
-        self._damage: list[tuple[str, int]] = []
-        self.messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
-        self.attachments: dict[str, bytes] = {}
-        self.metadata: dict[str, Mapping[str, str]] = {}
-
-    def read(self) -> None:
-        """Read to the end of the file, and note every damaged place."""
-        data, offset = self._data, len(MAGIC)
-        while offset < len(data):
-            try:
-                found = _record_at(data, offset)
-                if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
-                    self._compare(found.end)
-                    return
-                self._take(found)
-                offset = found.end
-            except DamageError as error:
-                sound = _next_sound(data, offset + 1)
-                self._note(offset, sound, str(error))
-                if sound is None:
-                    return
-                offset = sound
-        self._note(offset, None, "the end of the recording was never written")
-
-    def samples(self) -> dict[str, NDArray[np.float64]]:
-        """Return the samples, one array per field."""
-        return decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]))
-
-    def damage(self) -> str | None:
-        """Return a message on the damage, with the number of remaining samples."""
-        if not self._damage:
-            return None
-        times = self.samples()["time"]
-        told = [words + _lost(times, before) for words, before in self._damage[:_TOLD]]
-        if len(self._damage) > _TOLD:
-            told.append(f"and {len(self._damage) - _TOLD} more places")
-        return f"{'; '.join(told)}; {len(times)} samples recovered"
-
-    def _note(self, offset: int, sound: int | None, why: str) -> None:
-        size = len(self._data)
-        where = (
-            f"whole up to byte {offset} of {size}"
-            if not self._damage
-            else f"damaged again at byte {offset}"
-        )
-        rest = "" if sound is None else f", sound again from byte {sound}"
-        self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
-
-    def _take(self, found: Found) -> None:
-        """Store the content of one record by its kind."""
-        match found.opcode:
-            case Opcode.CHUNK:
-                self._take_messages(chunk(found.content))
-            case Opcode.CHANNEL:
-                described = _parsed(Channel, found.content, "a channel")
-                if (
-                    not 1 <= described.id <= len(TOPICS)
-                    or TOPICS[described.id - 1] != described.topic
-                ):
-                    raise DamageError(
-                        f"channel {described.id} is {described.topic!r}, which is not a topic "
-                        "of a run"
-                    )
-            case Opcode.ATTACHMENT:
-                file = attachment(found.content)
-                self.attachments[file.name] = file.data
-            case Opcode.METADATA:
-                item = _parsed(Metadata, found.content, "metadata")
-                self.metadata[item.name] = item.metadata
-
-    def _take_messages(self, records: bytes) -> None:
-        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk."""
-        taken = _messages(records)
-        latest_ns = self._latest_ns
-        for topic, message in taken:
-            if topic == SAMPLE_TOPIC:
-                require_sample(message.data)
-            if message.time_ns < latest_ns:
-                raise DamageError("a chunk is older than the chunk before it")
-            latest_ns = message.time_ns
-        self._latest_ns = latest_ns
-        for topic, message in taken:
-            self.messages[topic].append(message)
-
-    def _compare(self, offset: int) -> None:
-        """Compare the number of messages with the counts at the end of the file."""
-        try:
-            counts = statistics(self._data, offset)
-        except DamageError as error:
-            self._note(offset, None, str(error))
-            return
-        missing = counts.message_count - sum(map(len, self.messages.values()))
-        if missing and not self._damage:
-            samples = len(self.messages[SAMPLE_TOPIC])
-            self._damage.append(
-                (f"{missing} of {counts.message_count} messages are missing", samples)
-            )
-
-
-def require_sample(data: bytes) -> None:
-    """Raise DamageError unless a message has the size of a sample."""
-    if len(data) != SAMPLE_BYTES:
-        raise DamageError(
-            f"a sample has {len(data)} bytes, expected {SAMPLE_BYTES}: another program wrote this "
-            "recording"
-        )
-
-
-def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return the times of the samples before and after a loss as text."""
-    return (
-        f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
-        if 0 < before < len(times)
-        else ""
-    )
-
-
-START = len(MAGIC)  # offset of the first record
-_TIMES = struct.Struct("<QQ")  # first and last log time of a chunk, at the start of its content
-
-
-class Piece(NamedTuple):
-    """One record of a recording."""
-
-    # Topic and message, in recorded order; empty for a record without messages.
-    messages: tuple[tuple[str, Message], ...]
-    following: int | None  # offset of the next record, or None for the last record
-
-
-class Tail:
-    """An open recording that may still grow. A context manager.
-
-    Raises:
-        OSError: The file cannot be opened.
-        DamageError: The file is not a recording.
-    """
-
-    def __init__(self, path: Path) -> None:
-        require_plain(path)
-        self._stream = open(path, "rb")  # noqa: SIM115 - closed by :meth:`__exit__`
-        magic = self._stream.read(len(MAGIC))
-        if not MAGIC.startswith(magic):
-            self._stream.close()
-            raise DamageError("not an MCAP recording")
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Close the file."""
-        self._stream.close()
-
-    def at(self, offset: int) -> Piece | None:
-        """Read the record at ``offset``; return None if the record is not complete yet."""
-        head = self._head(offset)
-        if head is None:
-            return None
-        opcode, length = head
-        if opcode == Opcode.DATA_END:
-            return Piece((), None)
-        end = offset + HEADER.size + length
-        if opcode != Opcode.CHUNK:
-            return Piece((), end) if self._size() >= end else None
-        content = self._stream.read(length)
-        return Piece(_messages(chunk(content)), end) if len(content) == length else None
-
-    def since(self, seconds: float) -> int:
-        """Return the offset of the first chunk with data of the last ``seconds`` of the recording;
-        only the heads of the records are read.
-        """
-        chunks: list[tuple[int, int]] = []
-        offset = START
-        while (head := self._head(offset)) is not None and head[0] != Opcode.DATA_END:
-            if head[0] == Opcode.CHUNK:
-                times = self._stream.read(_TIMES.size)
-                if len(times) < _TIMES.size:
-                    break
-                chunks.append((offset, _TIMES.unpack(times)[1]))
-            offset += HEADER.size + head[1]
-        latest = max((end for _, end in chunks), default=0)
-        recent = (at for at, end in chunks if end >= latest - seconds * 1e9)
-        return next(recent, START)
-
-    def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``, or None if not written yet."""
-        self._stream.seek(offset)
-        head = self._stream.read(HEADER.size)
-        if len(head) < HEADER.size:
-            return None
-        opcode, length = HEADER.unpack(head)
-        if opcode not in OPCODES or (opcode == Opcode.CHUNK and length > MAX_CHUNK):
-            raise DamageError(f"no record begins at byte {offset}")
-        return opcode, length
-
-    def _size(self) -> int:
-        return self._stream.seek(0, 2)
-
-
-def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:
-    """Return the messages of a chunk's records."""
-    found = []
-    offset = 0
-    while offset < len(records):
-        opcode, length = HEADER.unpack_from(records, offset)
-        end = offset + HEADER.size + length
-        if opcode == Opcode.MESSAGE:
-            _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
-            if not 1 <= number <= len(TOPICS):
-                raise DamageError(
-                    f"a message on channel {number}, which runs do not have: "
-                    "another program wrote this recording"
-                )
-            message = Message(time_ns, records[offset + MESSAGE.size : end])
-            found.append((TOPICS[number - 1], message))
-        offset = end
-    return tuple(found)
-
-
-BLOCK_BYTES = 1 << 20
-MAX_ATTACHMENT = 1 << 26
-"""Length of a record before the first messages above which the record counts as damaged, bytes."""
-_SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
-_EVENTS = TOPICS.index(EVENT_TOPIC) + 1
-_ATTACHMENTS = 0  # key of attachments; the key of messages is the number of their channel
 
 
 class Block(NamedTuple):
@@ -442,119 +481,49 @@ class Happening(NamedTuple):
     event: Mapping[str, Any]
 
 
-class Attached(NamedTuple):
-    """One attachment of a recording."""
+class Damage(NamedTuple):
+    """Place and cause of the damage of a recording, and the loss."""
 
-    name: str
-    content: bytes
+    words: str
 
 
 def run_items(
     path: Path, fields: Sequence[str], *, only_samples: bool = False
-) -> Iterator[Block | Happening | Attached]:
-    """Yield the content of a recording except its frames, in blocks of about :data:`BLOCK_BYTES`.
+) -> Iterator[Block | Happening | Attachment | Damage]:
+    """Yield the content of a recording except its frames, in blocks of about :data:`BLOCK_BYTES`;
+    of a damaged one at last the damage.
 
     Events come before the block with the samples of the same time.
 
     ``fields``: fields of :class:`rig.common.sample.Sample` in the blocks. ``only_samples``: whether
-    to yield blocks of samples only.
+    to yield blocks of samples, and the damage, only.
 
     Raises:
-        DamageError: The recording is not complete; all items yielded so far are valid.
+        NotARecordingError: The file is not a recording of this program.
         OSError: The file cannot be read.
     """
-    wanted = frozenset({_SAMPLES} if only_samples else {_SAMPLES, _EVENTS, _ATTACHMENTS})
     pending: list[bytes] = []
-    waiting = 0
-    require_plain(path)
-    with open(path, "rb") as stream:
-        for kind, contents in _contents(stream, wanted):
-            if kind == _EVENTS:
-                yield from (Happening(json.loads(content)) for content in contents)
-            elif kind == _ATTACHMENTS:
-                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
-            else:
-                for content in contents:
-                    require_sample(content)
-                pending += contents
-                waiting += SAMPLE_BYTES * len(contents)
-                if waiting >= BLOCK_BYTES:
-                    yield _block(pending, fields)
-                    pending, waiting = [], 0
+    with RecordFile(path) as file:
+        topics = (SAMPLE_TOPIC,) if only_samples else (SAMPLE_TOPIC, EVENT_TOPIC)
+        reading = _Reading(file, topics, only_messages=only_samples)
+        for content in reading.contents():
+            if isinstance(content, Attachment):
+                yield content
+            elif not isinstance(content, Metadata):
+                for topic, message in content:
+                    if topic == EVENT_TOPIC:
+                        yield Happening(json.loads(message.data))
+                    else:
+                        pending.append(message.data)
+            if len(pending) * SAMPLE_BYTES >= BLOCK_BYTES:
+                yield _block(pending, fields)
+                pending.clear()
     if pending:
         yield _block(pending, fields)
+    if reading.damage is not None:
+        yield Damage(reading.damage)
 
 
-def first_attachment(path: Path, name: str) -> bytes:
-    """Return an attachment that was written before the first messages.
-
-    Raises:
-        DamageError: No attachment has this name, or the attachment is damaged.
-    """
-    for opcode, content in _before_messages(path):
-        if opcode == Opcode.ATTACHMENT and (found := attachment(content)).name == name:
-            return bytes(found.data)
-    raise DamageError(f"{name} is not attached before the first messages")
-
-
-def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of each record before the first messages."""
-    require_plain(path)
-    with open(path, "rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
-            raise DamageError("not an MCAP recording")
-        while len(head := stream.read(HEADER.size)) == HEADER.size:
-            opcode, length = HEADER.unpack(head)
-            if opcode in (Opcode.CHUNK, Opcode.DATA_END) or length > MAX_ATTACHMENT:
-                break
-            yield opcode, stream.read(length)
-
-
-def _block(contents: Sequence[bytes], fields: Sequence[str]) -> Block:
-    every = decode_samples(b"".join(contents))
+def _block(samples: Sequence[bytes], fields: Sequence[str]) -> Block:
+    every = decode_samples(b"".join(samples))
     return Block({name: every[name] for name in fields})
-
-
-def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield channel and contents of the wanted messages, chunk by chunk, events first."""
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise DamageError("not an MCAP recording")
-    count = 0
-    while True:
-        head = stream.read(HEADER.size)
-        if len(head) < HEADER.size:
-            raise DamageError("the end of the recording was never written")
-        opcode, length = HEADER.unpack(head)
-        content = stream.read(length)
-        if len(content) < length:
-            raise DamageError("cut off inside a record")
-        if opcode == Opcode.DATA_END:
-            break
-        if opcode == Opcode.CHUNK:
-            sorted_out, among = _chunk_messages(chunk(content), wanted)
-            count += among
-            yield from (
-                (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
-            )
-        elif opcode == Opcode.ATTACHMENT and _ATTACHMENTS in wanted:
-            yield _ATTACHMENTS, [content]
-    end = stream.tell()
-    if statistics(stream.read(), 0, end).message_count != count:
-        raise DamageError("messages are missing")
-
-
-def _chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
-    """Return contents of the wanted messages by channel, and the number of all messages."""
-    found: dict[int, list[bytes]] = {}
-    offset, size, count = 0, len(records), 0
-    unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size
-    while offset < size:
-        opcode, length = unpack(records, offset)
-        end = offset + head + length
-        if opcode == Opcode.MESSAGE:
-            count += 1
-            number = records[offset + 9] | records[offset + 10] << 8
-            if number in wanted:
-                found.setdefault(number, []).append(records[offset + body : end])
-        offset = end
-    return found, count

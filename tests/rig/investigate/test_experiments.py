@@ -87,7 +87,7 @@ def test_a_weight_is_hung_once_and_costs_the_operator_s_time() -> None:
 
 def test_the_sequence_of_an_experiment_is_a_file(tmp_path: Path) -> None:
     parts = family(load_bench("practical").value, np.random.default_rng(0))[:3]
-    document = as_document("x", parts, "# why\n")
+    document = as_document("x", parts)
     file = tmp_path / "x.yaml"
     file.write_text(sequence_text(document.value, "# why\n"))
     assert load_sequence(file).value == document.value

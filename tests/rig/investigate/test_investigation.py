@@ -99,6 +99,7 @@ class World:
             raise Killed
 
     def judge(self, folders: list[Path], *_: Any) -> Any:
+        """``folders``: what the stand-in of :func:`read_runs` returns."""
         self.moment()
         preference = self.per_run * (len(folders) - 1)
         fit = SimpleNamespace(bandwidth_Hz=25.0)
@@ -114,7 +115,7 @@ class World:
 
     def propose(self, *arguments: Any) -> Any:
         self.moment()
-        *_, name, _left_s, avoided, cover, _given_up = arguments
+        *_, number, _progress, _left_s, avoided, cover, _given_up = arguments
         self.avoided.append(avoided)
         if self.indistinct and not cover:
             return Choice(None, {("cogging", "torque_ripple"): 0.2})
@@ -125,7 +126,7 @@ class World:
             seconds=100.0,
             weight_changes=1,
             apart={} if cover else {("cogging", "torque_ripple"): 7.0},
-            sequence=as_document(name, parts),
+            sequence=as_document(f"experiment-{number}", parts),
             repeats="",
         )
         return Choice(cast(Any, proposal), {})
@@ -169,7 +170,8 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         stage = SimpleNamespace(name="wide-slow-unloaded", state=found)
         return SimpleNamespace(state=found, stages=[stage])
 
-    monkeypatch.setattr(loop, "judge", made.judge)
+    monkeypatch.setattr(loop, "read_runs", lambda folders: folders)
+    monkeypatch.setattr(loop, "judge_recordings", made.judge)
     monkeypatch.setattr(loop, "propose", made.propose)
     monkeypatch.setattr(loop, "predict", made.predict)
     monkeypatch.setattr(loop, "read_record", record)
@@ -205,7 +207,7 @@ def test_the_odds_after_each_experiment_are_kept_and_the_sealed_one_is_in_no_fit
     state, seen = new(), list[list[str]]()
     plain = world.judge
     monkeypatch.setattr(
-        loop, "judge", lambda f, *m: (seen.append([p.name for p in f]), plain(f, *m))[1]
+        loop, "judge_recordings", lambda f, *m: (seen.append([p.name for p in f]), plain(f, *m))[1]
     )
     world.begin(state).run()
     assert all(e.odds for e in state.experiments if e.purpose != "confirm")
@@ -309,7 +311,8 @@ def test_killed_at_any_moment_nothing_is_lost_or_run_twice(world: World) -> None
         folder = world.folder / f"killed-{k}"
         folder.mkdir()
         killed = World(folder, kill_at=k)
-        loop_of = {name: getattr(killed, name) for name in ("judge", "propose", "predict")}
+        loop_of = {name: getattr(killed, name) for name in ("propose", "predict")}
+        loop_of["judge_recordings"] = killed.judge
         with pytest.MonkeyPatch.context() as patch:
             for name, stand_in in loop_of.items():
                 patch.setattr(loop, name, stand_in)
