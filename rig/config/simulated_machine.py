@@ -74,7 +74,7 @@ def follow_bench(root: Node) -> Node:
         given = Node({}, root.mark, {})
     if not isinstance(given.value, dict):
         return root
-    mock = _under(given, derived(plain), root.keys.get("mock", given.mark))
+    mock = given.over(_nodes(derived(plain), root.keys.get("mock", given.mark)))
     return Node({**top, "mock": mock}, root.mark, {"mock": mock.mark, **root.keys})
 
 
@@ -100,12 +100,19 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     motor["rotor_inertia_kg_m2"] = (
         Motor.rotor_inertia_kg_m2 * share * (Motor.gear_ratio / gear) ** 2
     )
-    supply = _supply(bench)
+    low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
+    supply = None if low is None or high is None else 0.5 * (low + high)
+    limit_A, rate_Hz = _number(bench, "limits", "current_A"), _number(bench, "cycle_Hz")
     machine: dict[str, Section | float] = {
         "motor": motor,
         "joint": joint,
         "loops": _loops(bench, motor, share, supply),
-        "sensing": _sensing(bench),
+        "sensing": _known(
+            motor_counts_per_turn=_counts(bench, "servo", "counts_per_motor_turn", "canopen"),
+            joint_counts_per_turn=_counts(bench, "encoder", "counts_per_turn", "cia406"),
+            current_noise_A=limit_A and Sensing.current_noise_A * (limit_A / Loops.current_limit_A),
+            cycle_s=rate_Hz and 1.0 / rate_Hz,
+        ),
     }
     return machine if supply is None else {**machine, "supply_V": supply}
 
@@ -135,28 +142,12 @@ def _loops(
     )
 
 
-def _sensing(bench: Mapping[str, Any]) -> Section:
-    limit_A, rate_Hz = _number(bench, "limits", "current_A"), _number(bench, "cycle_Hz")
-    return _known(
-        motor_counts_per_turn=_counts(bench, "servo", "counts_per_motor_turn", "canopen"),
-        joint_counts_per_turn=_counts(bench, "encoder", "counts_per_turn", "cia406"),
-        current_noise_A=limit_A and Sensing.current_noise_A * (limit_A / Loops.current_limit_A),
-        cycle_s=rate_Hz and 1.0 / rate_Hz,
-    )
-
-
 def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> float | None:
     """Return an encoder's counts per turn, from the file or from the kind of the encoder."""
     found = bench.get(section)
     stated = found.get("kind", kind) if isinstance(found, dict) else kind
     fixed = _FALLBACK.get(stated) if isinstance(stated, str) else None
     return _number(bench, section, key) or fixed
-
-
-def _supply(bench: Mapping[str, Any]) -> float | None:
-    """Return the mean of the supply voltage limits, V, or None if one of the limits is not set."""
-    low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
-    return None if low is None or high is None else 0.5 * (low + high)
 
 
 def _simulated(bench: Mapping[str, Any]) -> bool:
@@ -184,17 +175,11 @@ def _known(**values: float | None) -> Section:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
-    """Add values to a mapping of the file; existing keys have priority."""
-    if not isinstance(given.value, dict):
-        return given
-    children = dict(given.value)
-    for name, value in values.items():
-        if isinstance(value, dict):
-            children[name] = _under(children.get(name, Node({}, mark, {})), value, mark)
-        elif name not in children:
-            children[name] = Node(value, mark, {})
-    return Node(children, given.mark, given.keys)
+def _nodes(value: Any, mark: Mark) -> Node:
+    """Return values that are not in the file as a tree, at one place and without places of keys."""
+    if isinstance(value, dict):
+        value = {name: _nodes(each, mark) for name, each in value.items()}
+    return Node(value, mark, {})
 
 
 def may_be(name: str) -> str:
