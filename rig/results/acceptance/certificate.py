@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.numerics.arrays import plain
+from identification.numerics.arrays import Progress, plain
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
 from rig.common.places import usable
@@ -24,7 +24,6 @@ from rig.results.acceptance.evidence import (
     DIAGNOSIS_FOLDER,
     Check,
     Evidence,
-    Progress,
     accepted,
     gather,
     judge,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from identification.numerics.arrays import Progress
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import is_file
@@ -31,7 +32,6 @@ from rig.runs.run_record import Ending, RunRecord
 from rig.runs.run_record import Verdict as WeightVerdict
 from rig.weighing.weight_check import comparable, off_label
 
-Progress = Callable[[str, float], None]
 DIAGNOSIS_FOLDER = "diagnosis"
 
 

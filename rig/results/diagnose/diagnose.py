@@ -17,6 +17,7 @@ from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.search import Search
 from identification.estimate.default import identify_any_length
+from identification.numerics.arrays import Progress
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.provenance import Provenance
@@ -52,7 +53,7 @@ def diagnose_source(
     source: Path,
     seed: int,
     bandwidth_Hz: float | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     refine: bool = False,
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,
@@ -77,7 +78,7 @@ def diagnose_dataset(
     source: Path,
     seed: int,
     bandwidth_Hz: float | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     refine: bool = False,
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
@@ -23,7 +23,7 @@ from identification.estimate.fleet import (
     Value,
     fleet,
 )
-from identification.numerics.arrays import plain
+from identification.numerics.arrays import Progress, plain
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
@@ -73,9 +73,7 @@ def campaign_of_units(source: Path) -> Campaign | None:
     return campaign if len({r.unit for r in campaign.recordings}) > 1 else None
 
 
-def identify_fleet(
-    source: Path, campaign: Campaign, request: Request, progress: Callable[[str, float], None]
-) -> Found:
+def identify_fleet(source: Path, campaign: Campaign, request: Request, progress: Progress) -> Found:
     """Identify each unit of a campaign, and compare the units.
 
     Raises:

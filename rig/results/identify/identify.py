@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from identification.estimate.ladder import Rung, Transfer, climb, transfer
 from identification.estimate.paper_method import Contender, compare, identify_paper
 from identification.estimate.simulated_ladder import SimulatedRung, climb_simulated
 from identification.model.parameters import LADDER, SIMULATED
-from identification.numerics.arrays import finite, plain
+from identification.numerics.arrays import Progress, finite, plain
 from identification.recording import Dataset
 from identification.result import Identification, by_name
 from rig.common.places import is_folder
@@ -39,7 +39,7 @@ class Method(Protocol):
         *,
         bandwidth_Hz: float | None,
         rng: np.random.Generator,
-        progress: Callable[[str, float], None] | None = None,
+        progress: Progress | None = None,
     ) -> Identification:
         """Identify a dataset."""
         ...
@@ -88,9 +88,7 @@ class Request:
     partial: bool = False
 
 
-def identify_source(
-    source: Path, request: Request, progress: Callable[[str, float], None]
-) -> Outcome:
+def identify_source(source: Path, request: Request, progress: Progress) -> Outcome:
     """Identify a run folder or campaign file."""
     started = time.perf_counter()
     progress("reading", 0.0)
@@ -127,7 +125,7 @@ def _identified(
     method: str,
     request: Request,
     warnings: tuple[str, ...],
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> Identification:
     """Identify by one method, and measure the time."""
     begun = time.perf_counter()
@@ -160,7 +158,7 @@ def compare_methods(
     source: Path,
     outcome: Outcome,
     truth: Mapping[str, float] | None,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> Outcome:
     """Return an outcome with all estimators compared; stochastic ones with several seeds."""
     started = time.perf_counter()

@@ -15,6 +15,7 @@ from identification.effects import prediction
 from identification.effects.model import CorrectedModel, predictions, views_for
 from identification.effects.prediction import Simulation as Banded
 from identification.estimate.bandwidth import choose_bandwidth
+from identification.numerics.arrays import Progress
 from identification.plots.signals import predicted, simulated
 from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset
@@ -155,7 +156,7 @@ def simulate_source(
     source: Path,
     result: Path,
     bandwidth_Hz: float | None,
-    progress: Callable[[str, float], None],
+    progress: Progress,
     own: OwnFile = NO_FILE,
 ) -> Simulation:
     """Predict every recording of a source with the model of a result file, and simulate the closed
@@ -222,7 +223,7 @@ def _bands(
 
 
 def _closed_loop(
-    model: CorrectedModel, prepared: Sequence[Prepared], progress: Callable[[str, float], None]
+    model: CorrectedModel, prepared: Sequence[Prepared], progress: Progress
 ) -> tuple[dict[str, Sums], list[Response]]:
     """Simulate the recordings; return the errors by recording, and the responses."""
     sums: dict[str, Sums] = {}

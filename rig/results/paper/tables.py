@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
-from identification.numerics.arrays import finite
+from identification.numerics.arrays import Progress, finite
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.fit import spread
@@ -115,7 +115,7 @@ class Reproduction:
         return [seed for seed, error in worst.items() if error > WRONG_BASIN_PERCENT]
 
 
-def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
+def reproduce(seeds: Sequence[int], progress: Progress) -> Reproduction:
     """Simulate the literal bench without noise, and identify it by both methods per seed."""
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
@@ -459,7 +459,7 @@ def _listed(lines: Sequence[str]) -> Items:
     return Items(tuple(("", line) for line in lines))
 
 
-def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
+def study(seed: int, progress: Progress) -> list[Exhibit]:
     """Make the runs and draw all figures except those of the tables, in the order of the paper."""
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)

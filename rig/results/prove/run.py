@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from identification.numerics.arrays import Progress
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
@@ -118,7 +119,6 @@ class Proof(NamedTuple):
         return self.out / folder / f"{rig.name}.json"
 
 
-Progress = Callable[[str, float], None]
 Done = TypeVar("Done")
 
 
