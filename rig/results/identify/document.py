@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -343,25 +343,44 @@ def parameter_table(
 
     The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
     """
-    header = ["parameter"]
-    for result in results:
-        prefix = "" if len(results) == 1 else f"{result.method}: "
-        header += [
-            f"{prefix}value",
-            f"{prefix}90 % interval",
-            f"{prefix}floor",
-            *([f"{prefix}error"] if truth else []),
+    true = truth or {}
+    prefix = {r.method: f"{r.method}: " if len(results) > 1 else "" for r in results}
+
+    def cell(result: Identification, words: Callable[[Parameter], str]) -> Callable[[str], str]:
+        known = result.parameters
+        return lambda name: words(known[name]) if name in known else "-"
+
+    def floor(parameter: Parameter) -> str:
+        return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
+
+    def error(parameter: Parameter) -> str:
+        value, exact = parameter.value, true.get(parameter.name)
+        return percent(100.0 * (value / exact - 1.0) if value is not None and exact else None)
+
+    def unit(name: str) -> str:
+        return [r.parameters[name].unit for r in results if name in r.parameters][-1]
+
+    def remarks(name: str) -> str:
+        said = [
+            (prefix[r.method], note(r.parameters[name])) for r in results if name in r.parameters
         ]
-    header += ["unit", *(["true"] if truth else []), "note"]
-    names = dict.fromkeys(name for result in results for name in result.parameters)
-    rows = [_row(name, results, truth) for name in names]
-    kept = [i for i in range(len(header)) if any(row[i] not in ("", "-") for row in rows)]
-    numbers = [k for k, i in enumerate(kept) if header[i] not in ("parameter", "unit", "note")]
-    return Table(
-        tuple(header[i] for i in kept),
-        tuple(tuple(row[i] for i in kept) for row in rows),
-        tuple(numbers),
-    )
+        return "; ".join(f"{method}{words}" for method, words in said if words)
+
+    titled: list[tuple[str, Callable[[str], str]]] = [("parameter", str)]
+    for r in results:
+        titled += [
+            (f"{prefix[r.method]}value", cell(r, lambda p: number(p.value))),
+            (f"{prefix[r.method]}90 % interval", cell(r, lambda p: interval(p.low, p.high))),
+            (f"{prefix[r.method]}floor", cell(r, floor)),
+            (f"{prefix[r.method]}error", cell(r, error)),
+        ]
+    titled += [("unit", unit), ("true", lambda name: number(true.get(name))), ("note", remarks)]
+    whole = columns(dict.fromkeys(name for r in results for name in r.parameters), (), *titled)
+    kept = [k for k, cells in enumerate(zip(*whole.rows, strict=True)) if set(cells) - {"", "-"}]
+    texts = ("parameter", "unit", "note")
+    numbers = (n for n, k in enumerate(kept) if whole.header[k] not in texts)
+    header, *rows = (tuple(row[k] for k in kept) for row in (whole.header, *whole.rows))
+    return Table(header, tuple(rows), tuple(numbers))
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:
@@ -400,32 +419,6 @@ def note(parameter: Parameter) -> str:
         return "at the end of the range of the search"
     unknown = parameter.low is not None and not parameter.determined
     return "not determined: the interval is too wide" if unknown else ""
-
-
-def _row(
-    name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
-) -> tuple[str, ...]:
-    cells = [name]
-    notes: list[str] = []
-    unit = ""
-    true = (truth or {}).get(name)
-    for result in results:
-        parameter = result.parameters.get(name)
-        if parameter is None:
-            cells += ["-"] * (4 if truth else 3)
-            continue
-        unit = parameter.unit
-        cells += [
-            number(parameter.value),
-            interval(parameter.low, parameter.high),
-            "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}",
-        ]
-        if truth:
-            off = parameter.value / true - 1.0 if parameter.value is not None and true else None
-            cells.append(percent(None if off is None else 100.0 * off))
-        if said := note(parameter):
-            notes.append(said if len(results) == 1 else f"{result.method}: {said}")
-    return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))
 
 
 _WORDS = {
