@@ -20,7 +20,6 @@ from drivers.amt21.encoder import COUNTS_PER_TURN
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.effects.own import injected
 from drivers.mock.plant.effects.pack import problems, too_light
-from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
 from rig.common.yaml_tree import Mark, Node
 from rig.config.configuration import nearest
@@ -291,7 +290,7 @@ _ADVISED_SHARE = 0.5
 """Recommended gain as a share of the gain at the stability limit: a gain margin of 6 dB."""
 
 
-def unstable_current_loop(machine: constants.Machine) -> str | None:
+def unstable_current_loop(machine: Machine) -> str | None:
     """Return a message with a stable gain if the current loop of a simulated drive is unstable.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
@@ -312,7 +311,7 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     )
 
 
-def _radius(machine: constants.Machine, gain: float) -> float:
+def _radius(machine: Machine, gain: float) -> float:
     """Return the growth factor of the loop's error per period."""
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
@@ -325,7 +324,7 @@ def _radius(machine: constants.Machine, gain: float) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 
 
-def _greatest_stable_gain(machine: constants.Machine) -> float:
+def _greatest_stable_gain(machine: Machine) -> float:
     """Return the gain at the stability limit, V/A; all lower gains are stable."""
     low, high = 0.0, machine.loops.current_gain_V_A
     for _ in range(_BISECTIONS):

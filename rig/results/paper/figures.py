@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from drivers.mock.plant import gas as gas_direct
-from drivers.mock.plant.gas import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, steady_pressure, throat_area
 from drivers.mock.plant.machine import SimulatedMachine
-from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
 from identification.estimate.equation_error import (
@@ -137,8 +135,8 @@ def ramp_exhibits(scratch: Path, seed: int) -> list[Exhibit]:
         "fig_2",
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",
         "Angle against time while the regulator follows a low-speed ramp, gas generator not "
-        "working: the valve waits, "
-        "jumps and waits, and comes to rest with an error. The paper gives no speed and no gains.",
+        "working: the valve waits, jumps and waits, and comes to rest with an error. The paper "
+        "gives no speed and no gains.",
         [_words(f"{ramp}, no weight", track(first))],
         f"Fig. 2: {ramp}, no weight",
         regulator.tracking(time, command, angle, tracking_error(first)),
@@ -346,8 +344,8 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
         "fig_11",
         "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
         "Block diagrams of the loop, in which pressure and valve angle determine the load on the "
-        "motor, and "
-        "the angle determines the pressure. The paper gives no controller and no response.",
+        "motor, and the angle determines the pressure. The paper gives no controller and no "
+        "response.",
         (
             f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
             "through the whole simulated chain, pressure measured by a transmitter.",
@@ -452,7 +450,7 @@ class Sweep:
         return rows
 
 
-def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
+def sweep(machine: Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
     """Open the valve of a burning gas generator from 0 to 30 deg at constant speed."""
     noise, transmitter = np.random.default_rng(seed).spawn(2)
     plant = SimulatedMachine(machine, noise)
@@ -464,7 +462,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64
     )
     samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
-    area = gas_direct.impacted_area(machine, samples.angle)
+    area = impacted_area(machine, samples.angle)
     wanted = math.radians(speed_deg_s)
     width = round(SMOOTHING_S / CYCLE_S)
     kernel = np.ones(width) / width
@@ -488,7 +486,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         samples.current,
         samples.pressure,
         area,
-        gas_direct.steady_pressure(machine, samples.angle),
+        steady_pressure(machine, samples.angle),
         uniform,
         *ranks,
     )
@@ -527,8 +525,8 @@ def sweep_exhibit(seed: int) -> Exhibit:
         "fig_4",
         "Fig. 4: the motor's current falls with pressure and impacted area",
         "The valve turns from 0 to 30 deg at 50 deg/s under a stable pressure; the curve of the "
-        "current falls as the "
-        "pressure and the impacted area fall. The text gives no values of the curve.",
+        "current falls as the pressure and the impacted area fall. The text gives no values of the "
+        "curve.",
         tuple(lines),
         (Picture.of("fig_4", caption, regulator.sweep(curves)),),
         {
