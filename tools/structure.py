@@ -124,14 +124,16 @@ def _absolute(module: Module, node: ast.ImportFrom) -> str:
 
 
 def loaded_late(module: Module, known: Mapping[str, Module]) -> Iterator[tuple[str, str]]:
-    """Yield the modules and attributes that a module names as ``module:attribute``, as the table of
-    commands does; each such attribute counts as an importer of its module.
+    """Yield the modules and attributes that the table of commands names: an attribute is the key of
+    a tuple that begins with its module's name in the folder ``commands``; each such attribute
+    counts as an importer of its module.
     """
-    for node in ast.walk(module.tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            name, colon, attribute = node.value.partition(":")
-            if colon and name in known and attribute.isidentifier():
-                yield name, attribute
+    for table in (node for node in ast.walk(module.tree) if isinstance(node, ast.Dict)):
+        for key, entry in zip(table.keys, table.values, strict=True):
+            if isinstance(key, ast.Constant) and isinstance(entry, ast.Tuple) and entry.elts:
+                first = getattr(entry.elts[0], "value", "")
+                if (name := f"{module.room}.commands.{first}") in known:
+                    yield name, str(key.value)
 
 
 def thin(arrows: Mapping[str, set[str]], known: Mapping[str, Module]) -> Iterator[Break]:

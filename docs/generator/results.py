@@ -41,7 +41,7 @@ from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
 from rig.results.acceptance.evidence import Check
-from rig.results.catalogue.compare import Figure
+from rig.results.catalogue.compare import Figure, RunFigures
 from rig.results.catalogue.study import Studied, Study
 from rig.results.response.tuning import Written
 from rig.runs.catalogue.entry import Head
@@ -57,7 +57,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:ladder_record",
         "rig.results.identify.identify:simulated_record",
         "rig.results.identify.identify:transfer_record",
-        "rig.results.identify.identify:comparison_record",
+        "rig.results.identify.identify:outcome_record",
     ),
     "rig identify of several units: fleet.json": ("rig.results.fleet:fleet_record",),
     "rig identify --plan: plan file": ("rig.results.identify.plan:plan_record",),
@@ -72,8 +72,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig simulate: simulate.json": (
         "rig.results.identify.simulate:simulation_record",
-        "rig.results.identify.simulate:_sums_record",
-        "rig.results.identify.simulate:_record_errors",
+        "rig.results.identify.simulate:Simulation.errors",
     ),
     "rig check --json": (
         "rig.cli.commands.bench:examine",
@@ -94,10 +93,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig jog --json": ("rig.cli.commands.bench:_record", "rig.wiring.teardown:SafeState.record"),
     "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
-    "rig effects --json": (
-        "rig.results.diagnose.document:effects_record",
-        "rig.results.diagnose.document:_entry_record",
-    ),
+    "rig effects --json": ("rig.results.diagnose.document:effects_record",),
     "rig look --json": ("rig.cli.commands.look:look_record",),
     "rig response: response.json": (
         "rig.results.response.measure:response_record",
@@ -112,19 +108,14 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
     "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
-    "rig runs compare --json": (
-        "rig.results.catalogue.compare:compare_record",
-        "rig.results.catalogue.compare:_difference_record",
-        "rig.results.catalogue.compare:figures_record",
-    ),
+    "rig runs compare --json": ("rig.results.catalogue.compare:compare_record",),
     "rig runs trend --json": (
         "rig.results.catalogue.compare:trend_record",
-        "rig.results.catalogue.compare:_history_record",
-        "rig.results.catalogue.compare:_course_record",
+        "rig.results.catalogue.compare:course_record",
     ),
     "rig runs study --json": (
         "rig.results.catalogue.study:study_record",
-        "rig.results.catalogue.study:_about",
+        "rig.results.catalogue.study:studies",
     ),
     "rig runs accept: acceptance.json": ("rig.results.acceptance.certificate:acceptance_record",),
     "rig paper: paper.json": (
@@ -178,7 +169,7 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig tune: tune.json": (Margins, Wanted, Written),
     "rig runs list --json": (Head,),
     "rig runs accept: acceptance.json": (Check,),
-    "rig runs compare --json": (Figure,),
+    "rig runs compare --json": (Figure, RunFigures),
     "rig runs study --json": (Scatter, Studied, Study),
     "rig run --faults: faults.json": (Finding,),
     "rig look --json": (Look, Clock, Column),
@@ -205,13 +196,8 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig identify: identify.json": frozenset(
         {
             *RANGED,
-            "corrections",
-            "compared",
-            "ladder",
-            "simulated_ladder",
-            "transfer",
-            "comparison",
-            "partial",
+            *("corrections", "compared", "ladder", "simulated_ladder", "transfer"),
+            *("comparison", "partial"),
         }
     ),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),

@@ -66,7 +66,6 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     since the start of the run. If neither a file nor the sequence states limits, the run is not
     judged.
     """
-
     limits, source = stated_limits(folder, None)
     if not limits:
         return DONE
@@ -78,9 +77,6 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
         click.echo(f"not judged; judge the run with `rig runs accept {folder}`", err=True)
         raise
     return DONE if found.accepted else BAD_VERDICT
-
-
-_OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
@@ -99,15 +95,9 @@ def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], s
     if (stated := _of_file(file)) is not None:
         return stated
     given = recorded_acceptance(folder, read_record(folder))
-    if given is None:
-        return _limits_of_the_sequence(folder), _OF_THE_SEQUENCE
-    name = given.entry["file"]
-    text = given.content.decode("utf-8", "replace")
-    return limits_of(located_text(Path(name), text, AcceptanceFile).value.limits), name
-
-
-def _limits_of_the_sequence(folder: Path) -> tuple[Limit, ...]:
-    """Return the limits in the sequence that is attached to a run's recording."""
+    if given is not None:
+        name, text = given.entry["file"], given.content.decode("utf-8", "replace")
+        return limits_of(located_text(Path(name), text, AcceptanceFile).value.limits), name
     path = folder / RECORDING_FILE
     try:
         root, _ = parse(first_attachment(path, SEQUENCE_ATTACHMENT).decode("utf-8"))
@@ -115,4 +105,5 @@ def _limits_of_the_sequence(folder: Path) -> tuple[Limit, ...]:
         raise InputError(
             f"{path}: the sequence in this recording cannot be read: {error}"
         ) from error
-    return limits_of(validated(Path(SEQUENCE_ATTACHMENT), root, SequenceFile).value.acceptance)
+    sequence = validated(Path(SEQUENCE_ATTACHMENT), root, SequenceFile).value
+    return limits_of(sequence.acceptance), "sequence"

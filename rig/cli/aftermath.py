@@ -58,15 +58,14 @@ def conclude(
     gone = not folder.recording.exists()
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE and not gone else 0
     if wrong:
-        with suppress(
-            StorageError
-        ):  # The run has ended, and the warnings are shown even if they cannot be stored.
+        # The run has ended, and the warnings are shown even if they cannot be stored.
+        with suppress(StorageError):
             folder.save()
     _tell(folder, screen, gone)
     screen.drain()
     if not gone:
-        write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
-        seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
+        for deed in (write_page, seal_folder):
+            deed(folder.path, record, lambda words, good: screen.say(words, err=not good))
         screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
@@ -93,9 +92,8 @@ def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
     for stage in record.stages:
         if stage.name in changed:
             stage.load_change_kg = changed[stage.name][0].mass_kg
-    steady = Dataset(
-        tuple(r for r in dataset.recordings if r.name.partition("[")[0] not in changed)
-    )
+    kept = (r for r in dataset.recordings if r.name.partition("[")[0] not in changed)
+    steady = Dataset(tuple(kept))
     found = [weighing for _, weighing in changed.values()]
     if comparable(steady, reference):
         found += off_label(steady, reference)

@@ -24,75 +24,38 @@ from rig.terminal.output import Streams, complain
 from rig.terminal.stop_button import ignore_stops
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
-    "new": (
-        "rig.cli.commands.new:command",
-        "Write a bench, sequence or campaign file to start from.",
-    ),
-    "run": ("rig.cli.commands.run:run", "Run a sequence on a bench."),
-    "resume": ("rig.cli.commands.run:resume", "Continue a run that stopped."),
-    "off": ("rig.cli.commands.bench:off", "Make a bench safe, whoever uses it."),
-    "jog": ("rig.cli.commands.bench:jog", "Move a bench by hand, at low limits."),
-    "watch": (
-        "rig.cli.commands.console:watch",
-        "Show a recording live in Foxglove or PlotJuggler.",
-    ),
-    "commission": (
-        "rig.cli.commands.commission:command",
-        "Go through a new bench with the operator, step by step.",
-    ),
-    "check": (
-        "rig.cli.commands.bench:check",
-        "Connect to a bench and read its values; nothing moves.",
-    ),
-    "response": (
-        "rig.cli.commands.response:response",
-        "Measure the frequency response of a bench, and its margins.",
-    ),
-    "tune": (
-        "rig.cli.commands.response:tune",
-        "Propose gains of the drive for stated margins.",
-    ),
-    "identify": (
-        "rig.cli.commands.identify:identify",
-        "Identify friction and inertia from a run or a campaign.",
-    ),
-    "simulate": (
-        "rig.cli.commands.identify:simulate",
-        "Predict recordings with a fitted model, and compare.",
-    ),
-    "diagnose": (
-        "rig.cli.commands.diagnose:diagnose",
-        "Find physics that the model lacks, and add it to the model.",
-    ),
+    "new": ("new", "Write a bench, sequence or campaign file to start from."),
+    "run": ("run", "Run a sequence on a bench."),
+    "resume": ("run", "Continue a run that stopped."),
+    "off": ("bench", "Make a bench safe, whoever uses it."),
+    "jog": ("bench", "Move a bench by hand, at low limits."),
+    "watch": ("console", "Show a recording live in Foxglove or PlotJuggler."),
+    "commission": ("commission", "Go through a new bench with the operator, step by step."),
+    "check": ("bench", "Connect to a bench and read its values; nothing moves."),
+    "response": ("response", "Measure the frequency response of a bench, and its margins."),
+    "tune": ("response", "Propose gains of the drive for stated margins."),
+    "identify": ("identify", "Identify friction and inertia from a run or a campaign."),
+    "simulate": ("identify", "Predict recordings with a fitted model, and compare."),
+    "diagnose": ("diagnose", "Find physics that the model lacks, and add it to the model."),
     "investigate": (
-        "rig.cli.commands.investigate:investigate",
+        "investigate",
         "Choose and run experiments until the missing physics is named.",
     ),
-    "design": (
-        "rig.cli.commands.investigate:design",
-        "Propose the next experiment for recorded runs; run nothing.",
-    ),
-    "model": ("rig.cli.commands.diagnose:model", "Write a fitted model for other tools."),
-    "effects": ("rig.cli.commands.diagnose:effects", "List the effects of a diagnosis."),
-    "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
-    "prove": (
-        "rig.cli.commands.prove:prove",
-        "Test the diagnosis on blind trials with injected effects.",
-    ),
-    "runs": ("rig.cli.commands.runs:command", "List, show, compare and accept recorded runs."),
-    "look": ("rig.cli.commands.look:look", "Show the content of a log made elsewhere."),
-    "export": ("rig.cli.commands.export:export", "Convert recordings for other tools."),
-    "recover": ("rig.cli.commands.export:recover", "Repair a run whose writer died."),
-    "console": (
-        "rig.cli.commands.console:console",
-        "Watch, stop and start runs on a page in the browser.",
-    ),
-    "schema": (
-        "rig.cli.commands.new:schema",
-        "Write JSON Schemas, by which editors complete and check files.",
-    ),
+    "design": ("investigate", "Propose the next experiment for recorded runs; run nothing."),
+    "model": ("diagnose", "Write a fitted model for other tools."),
+    "effects": ("diagnose", "List the effects of a diagnosis."),
+    "paper": ("prove", "Reproduce the paper's tables and figures."),
+    "prove": ("prove", "Test the diagnosis on blind trials with injected effects."),
+    "runs": ("runs", "List, show, compare and accept recorded runs."),
+    "look": ("look", "Show the content of a log made elsewhere."),
+    "export": ("export", "Convert recordings for other tools."),
+    "recover": ("export", "Repair a run whose writer died."),
+    "console": ("console", "Watch, stop and start runs on a page in the browser."),
+    "schema": ("new", "Write JSON Schemas, by which editors complete and check files."),
 }
-"""Module, attribute and help line of each command; ``rig --help`` imports none of the modules."""
+"""Module of :mod:`rig.cli.commands` and help line of each command, which is a function of this name
+there; ``rig --help`` imports none of the modules.
+"""
 
 _SILENCE = logging.NullHandler()
 GARBAGE_THRESHOLD = 200_000
@@ -125,8 +88,8 @@ class LazyGroup(click.Group):
         """Import one subcommand."""
         if cmd_name not in COMMANDS:
             return None
-        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-        command = getattr(importlib.import_module(module), attribute)
+        module = importlib.import_module(f"rig.cli.commands.{COMMANDS[cmd_name][0]}")
+        command = getattr(module, cmd_name)
         assert isinstance(command, click.Command)
         return command
 

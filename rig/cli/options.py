@@ -44,37 +44,46 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
+def flag(name: str, words: str, *key: str) -> Decorator:
+    """Return a decorator that adds an option without a value; ``key`` names its parameter."""
+    return click.option(name, *key, is_flag=True, help=words)
+
+
+def path(name: str, words: str, *key: str, type: click.Path = PATH, **more: Any) -> Decorator:
+    """Return a decorator that adds an option that takes a path."""
+    return click.option(name, *key, type=type, help=words, **more)
+
+
 def _writable(context: click.Context, option: click.Parameter, path: Path | None) -> Path | None:
     """Refuse a file that cannot be written, before any work."""
     require_file(path, option.opts[0])
     return path
 
 
-result_file: Decorator = click.option(
-    "--json", "json_file", metavar="FILE", type=FILE, callback=_writable, help="Result file."
+bench_name: Decorator = click.option(
+    "--bench", default="practical", help="Bench file, or the name of a packaged bench."
 )
-own_effects: Decorator = click.option(
+realtime: Decorator = flag("--realtime", "Run the simulated bench in real time.")
+result_file: Decorator = path(
+    "--json", "Result file.", "json_file", type=FILE, metavar="FILE", callback=_writable
+)
+own_effects: Decorator = path(
     "--effects",
+    "Python file with effects of one's own, which is run.",
     "effects_file",
-    metavar="FILE.py",
     type=FILE,
-    help="Python file with effects of one's own, which is run.",
+    metavar="FILE.py",
 )
-partial: Decorator = click.option(
-    "--partial",
-    is_flag=True,
-    help="Also use the recorded part of the unfinished excitations of a stopped run.",
+partial: Decorator = flag(
+    "--partial", "Also use the recorded part of the unfinished excitations of a stopped run."
 )
-yes: Decorator = click.option(
-    "--yes",
-    is_flag=True,
-    help="Answer the weight prompts as planned; refused with weights on a real bench.",
+yes: Decorator = flag(
+    "--yes", "Answer the weight prompts as planned; refused with weights on a real bench."
 )
-in_console: Decorator = click.option(
+in_console: Decorator = flag(
     "--console",
+    "Ask the weight prompts in `rig console` only, for a run without a terminal.",
     "in_console",
-    is_flag=True,
-    help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
 )
 wait: Decorator = click.option(
     "--wait",
@@ -91,19 +100,18 @@ operator_name: Decorator = click.option(
     type=valid,
     help="Name of the operator; stored with the recording.",
 )
-identification: Decorator = click.option(
+identification: Decorator = path(
     "--identification",
-    type=PATH,
-    help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
+    "Accepted result of `rig identify --json` on this bench; the weight check uses the "
     "friction of this result.",
 )
-junit: Decorator = click.option(
+junit: Decorator = path(
     "--junit",
+    "Also write the acceptance as JUnit XML.",
     "junit_file",
-    metavar="FILE",
     type=FILE,
+    metavar="FILE",
     callback=_writable,
-    help="Also write the acceptance as JUnit XML.",
 )
 first_pass: Decorator = click.option(
     "--first-pass/--no-first-pass",
@@ -115,13 +123,18 @@ first_pass: Decorator = click.option(
 
 def record_file(words: str) -> Decorator:
     """Return a decorator that adds ``--json`` for a copy of the record, as ``json_file``."""
-    path = PATH
-    return click.option("--json", "json_file", type=path, callback=_writable, help=words)
+    return path("--json", words, "json_file", callback=_writable)
 
 
 def out_folder(words: str) -> Decorator:
     """Return a decorator that adds ``--out`` for the report folder."""
-    return click.option("--out", type=FOLDER, help=words)
+    return path("--out", words, type=FOLDER)
+
+
+def port(default: int) -> Decorator:
+    """Return a decorator that adds ``--port``."""
+    words = "Port on this computer; 0 for a free port."
+    return click.option("--port", type=click.IntRange(0, 65535), default=default, help=words)
 
 
 def seed(words: str = "Seed of the random generator.") -> Decorator:
@@ -141,18 +154,16 @@ def bandwidth(words: str) -> Decorator:
 
 def acceptance(default: str) -> Decorator:
     """Return a decorator that adds ``--acceptance`` for a file of limits."""
-    return click.option(
+    return path(
         "--acceptance",
-        metavar="FILE",
+        f"File of the acceptance limits for a complete run. [default: {default}]",
         type=FILE,
-        help=f"File of the acceptance limits for a complete run. [default: {default}]",
+        metavar="FILE",
     )
 
 
 def reset_fault(more: str = "") -> Decorator:
     """Return a decorator that adds ``--reset-fault``."""
-    return click.option(
-        "--reset-fault",
-        is_flag=True,
-        help="Clear a fault of the drive; remove the cause of the fault first." + more,
+    return flag(
+        "--reset-fault", "Clear a fault of the drive; remove the cause of the fault first." + more
     )

@@ -47,19 +47,12 @@ class Cause(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding of a check.
+    """One finding of a check."""
 
-    Attributes:
-        cause: Subject of the finding.
-        text: Message with remedy; for a refusal, the message of the run.
-        refused: Whether a run would refuse to start; otherwise the finding is a warning.
-        connectable: Whether a connection to the bench is possible in spite of the finding.
-    """
-
-    cause: Cause
-    text: str
-    refused: bool = True
-    connectable: bool = True
+    cause: Cause  # subject of the finding
+    text: str  # message with remedy; for a refusal, the message of the run
+    refused: bool = True  # whether a run would refuse to start; otherwise the finding is a warning
+    connectable: bool = True  # whether a connection to the bench is possible in spite of it
 
 
 def refusals(findings: Sequence[Finding]) -> list[str]:

@@ -103,7 +103,13 @@ class Holder:
         except (ValueError, OverflowError):
             return ""
         day = "" if since.date() == now.astimezone(UTC).date() else f"{since:%Y-%m-%d} "
-        return f" since {day}{since:%H:%M:%S} UTC{_ago((now - since).total_seconds())}"
+        seconds = (now - since).total_seconds()
+        # Nothing if the clock was set back meanwhile.
+        ago = ", just now" if seconds >= 0 else ""
+        for length_s, unit in reversed(_STEPS):
+            if seconds >= length_s:
+                ago = f", {int(seconds // length_s)} {unit} ago"
+        return f" since {day}{since:%H:%M:%S} UTC{ago}"
 
 
 def is_held(file: Path) -> bool:
@@ -127,14 +133,6 @@ def is_held(file: Path) -> bool:
     finally:
         os.close(descriptor)
     return False
-
-
-def _ago(seconds: float) -> str:
-    """Return the time that has passed, as text; empty if the clock was set back meanwhile."""
-    for length_s, unit in _STEPS:
-        if seconds >= length_s:
-            return f", {int(seconds // length_s)} {unit} ago"
-    return ", just now" if seconds >= 0 else ""
 
 
 def _printable(text: Any) -> str:
@@ -320,7 +318,14 @@ def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> 
             item, left = _take(place)
             held.append(item)
             if left.strip():
-                taken_over.append(_left_words(place, left))
+                holder = Holder.parse(left)
+                who = "an unknown program"
+                if holder is not None:
+                    who = holder.words(place.what, utc_now())
+                taken_over.append(
+                    f"{place.subject} was left locked by {who}, which no longer holds the lock; "
+                    "the lock is taken over"
+                )
             item.write(Holder.here(command, place.what))
     except BaseException:
         Lock(held, owner=owner).release()
@@ -476,16 +481,6 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
 def _off(place: _Place) -> str:
     """Return the command that makes a bench safe although it is locked."""
     return "; `rig off BENCH` ends it and makes the bench safe" if place.shared else ""
-
-
-def _left_words(place: _Place, left: bytes) -> str:
-    """Return a message on the lock taken over."""
-    holder = Holder.parse(left)
-    who = "an unknown program" if holder is None else holder.words(place.what, utc_now())
-    return (
-        f"{place.subject} was left locked by {who}, which no longer holds the lock; the lock is "
-        "taken over"
-    )
 
 
 def _unusable(place: _Place, reason: str) -> str:

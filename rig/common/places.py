@@ -46,9 +46,8 @@ def usable(place: object, deed: str, remedy: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(
-            f"{place}: cannot be {deed}: {error.strerror or error}{_after(remedy)}"
-        ) from error
+        words = f"{place}: cannot be {deed}: {error.strerror or error}"
+        raise InputError(f"{words}; {remedy}" if remedy else words) from error
 
 
 def read_bytes(path: Path) -> bytes:
@@ -105,10 +104,6 @@ def _whole(digits: str) -> int:
     except OverflowError:
         raise ValueError(f"the number {digits[:20]}... is too large") from None
     return number
-
-
-def _after(remedy: str) -> str:
-    return f"; {remedy}" if remedy else ""
 
 
 def require_folder(path: Path, option: str) -> None:

@@ -7,7 +7,7 @@ Python represents bytes that its locale cannot decode by lone surrogates, for ex
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +23,17 @@ def valid(text: str) -> str:
 
 def valid_record(record: Any) -> Any:
     """Return a record of mappings, lists and scalars with valid text throughout."""
+    return changed_texts(record, valid)
+
+
+def changed_texts(record: Any, change: Callable[[str], str]) -> Any:
+    """Return a record of mappings, lists and scalars with each text changed, keys included."""
     if isinstance(record, str):
-        return valid(record)
+        return change(record)
     if isinstance(record, Mapping):
-        return {valid_record(key): valid_record(value) for key, value in record.items()}
+        return {changed_texts(k, change): changed_texts(v, change) for k, v in record.items()}
     if isinstance(record, list | tuple):
-        return [valid_record(item) for item in record]
+        return [changed_texts(item, change) for item in record]
     return record
 
 

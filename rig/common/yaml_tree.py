@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -55,6 +55,21 @@ class Node:
         if isinstance(self.value, list):
             return [child.plain() for child in self.value]
         return self.value
+
+    def walk(self) -> Iterator[Node]:
+        """Yield this value and all values in it."""
+        yield self
+        below = list(self.value.values()) if isinstance(self.value, dict) else self.value
+        for child in below if isinstance(below, list) else ():
+            yield from child.walk()
+
+    def over(self, under: Node) -> Node:
+        """Return this value, with the keys that it lacks from another one."""
+        if not isinstance(under.value, dict) or not isinstance(self.value, dict):
+            return self
+        both = {k: v.over(under.value[k]) for k, v in self.value.items() if k in under.value}
+        children = {**under.value, **self.value, **both}
+        return Node(children, self.mark, {**under.keys, **self.keys})
 
 
 class DocumentError(Exception):

@@ -20,14 +20,10 @@ CONSTANTS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 
 @dataclass(frozen=True)
 class Measure:
-    """A quantity of a run that can be limited.
-
-    Attributes:
-        dimension: Dimension of the quantity, a key of :data:`UNITS`.
-    """
+    """A quantity of a run that can be limited."""
 
     statistics: tuple[str, ...]
-    dimension: str
+    dimension: str  # dimension of the quantity, a key of `UNITS`
     meaning: str
 
 
@@ -62,17 +58,12 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class Range:
-    """A constant whose whole 90 % interval must lie within a range.
-
-    Attributes:
-        low: Lower end, in the constant's SI unit; minus infinity if open.
-        high: Upper end; infinity if open.
-    """
+    """A constant whose whole 90 % interval must lie within a range."""
 
     text: str
     name: str
-    low: float
-    high: float
+    low: float  # lower end, in the constant's SI unit; minus infinity if open
+    high: float  # upper end; infinity if open
 
 
 @dataclass(frozen=True)
@@ -84,20 +75,13 @@ class Required:
 
 @dataclass(frozen=True)
 class Bound:
-    """A quantity that must stay below (or above) a value.
-
-    Attributes:
-        measure: Quantity, a key of :data:`MEASURES`.
-        statistic: Statistic of the measure that is compared; empty for a count.
-        below: Whether the value is an upper limit.
-        inclusive: Whether the limit itself is allowed.
-    """
+    """A quantity that must stay below (or above) a value."""
 
     text: str
-    measure: str
-    statistic: str
-    below: bool
-    inclusive: bool
+    measure: str  # quantity, a key of `MEASURES`
+    statistic: str  # statistic of the measure that is compared; empty for a count
+    below: bool  # whether the value is an upper limit
+    inclusive: bool  # whether the limit itself is allowed
     value: float
     unit: str
 

@@ -29,7 +29,6 @@ from rig.common.yaml_tree import parse
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import (
     Document,
-    Loc,
     NonNegative,
     Positive,
     Schema,
@@ -357,16 +356,12 @@ class Bench(Schema):
         return self
 
     @model_validator(mode="after")
-    def _mock_is_described(self) -> Self:
+    def _devices_fit_the_bus(self) -> Self:
         if self.simulated and self.mock is None:
             raise ValueError(
                 "bus.interface is mock but there is no section `mock`; add this section with the "
                 "constants of the simulated machine"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _devices_fit_the_bus(self) -> Self:
         if isinstance(self.bus, SerialBus):
             if isinstance(self.servo, DbcServoSection):
                 raise ValueError(
@@ -388,23 +383,17 @@ class Bench(Schema):
                     f"servo.mode {self.servo.mode} needs a CAN bus: over a serial line only "
                     f"positions are sent; use csp"
                 )
-        if (
-            isinstance(self.encoder, Amt21Section)
-            and (self.encoder.port == MOCK) is not self.simulated
-        ):
-            raise ValueError(
-                "bus and encoder must both be simulated (mock) or both real; change bus.interface "
-                "or the encoder"
-            )
-        if (
-            isinstance(self.encoder, Amt21Section)
-            and isinstance(self.servo, DbcServoSection)
-            and self.simulated
-        ):
-            raise ValueError(
-                "with a simulated servo of kind dbc the encoder must be of kind cia406; change "
-                "encoder.kind"
-            )
+        if isinstance(self.encoder, Amt21Section):
+            if (self.encoder.port == MOCK) is not self.simulated:
+                raise ValueError(
+                    "bus and encoder must both be simulated (mock) or both real; change "
+                    "bus.interface or the encoder"
+                )
+            if isinstance(self.servo, DbcServoSection) and self.simulated:
+                raise ValueError(
+                    "with a simulated servo of kind dbc the encoder must be of kind cia406; change "
+                    "encoder.kind"
+                )
         return self
 
     @property
@@ -467,7 +456,8 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
         document.require((("mock", *path), text) for path, text in found)
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
-        document.require(_unreported(bench))
+        stated = bench.unreported & bench.limits.model_fields_set
+        document.require((("limits", name), NOT_REPORTED) for name in sorted(stated))
         frames = cycle_frames(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s
         )
@@ -511,12 +501,6 @@ def without_watch(document: Document[Bench]) -> Document[Bench]:
         return document
     servo = bench.servo.model_copy(update={"stops_alone": False})
     return dataclasses.replace(document, value=bench.model_copy(update={"servo": servo}))
-
-
-def _unreported(bench: Bench) -> Iterator[tuple[Loc, str]]:
-    """Yield the limits that the file states for values which the drive does not report."""
-    for name in sorted(bench.unreported & bench.limits.model_fields_set):
-        yield ("limits", name), NOT_REPORTED
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:

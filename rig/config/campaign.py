@@ -77,7 +77,7 @@ def _rows(root: Node, path: Path) -> Node:
             mark = error.mark if error.mark.file else table.mark
             place = f"{mark.file or path}:{mark.line}:{mark.column}"
             raise InputError(f"{place}: recordings.table: {error.message}") from error
-        found.extend(_overlay(under, one) for one in rows)
+        found.extend(one.over(under) for one in rows)
     recordings = Node(found, given.mark, {})
     return Node({**top, "recordings": recordings}, root.mark, root.keys)
 
@@ -111,19 +111,8 @@ def _merge_defaults(root: Node) -> Node:
     recordings = top["recordings"]
     if not isinstance(recordings.value, list):
         return root
-    merged = [_overlay(top["defaults"], item) for item in recordings.value]
+    merged = [item.over(top["defaults"]) for item in recordings.value]
     return Node({**top, "recordings": Node(merged, recordings.mark, {})}, root.mark, root.keys)
-
-
-def _overlay(under: Node, over: Node) -> Node:
-    if not isinstance(under.value, dict) or not isinstance(over.value, dict):
-        return over
-    both = {
-        key: _overlay(under.value[key], child)
-        for key, child in over.value.items()
-        if key in under.value
-    }
-    return Node({**under.value, **over.value, **both}, over.mark, {**under.keys, **over.keys})
 
 
 def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:

@@ -66,14 +66,6 @@ def _one_of(names: Iterable[str], what: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-def _not_nothing(value: float) -> float:
-    if not 1e-9 < abs(value) < 1e9:
-        raise ValueError(
-            "the magnitude is outside the plausible range 1e-9 to 1e9; check its exponent and unit"
-        )
-    return value
-
-
 def _buildable(value: float) -> float:
     if not 1e-9 < value < 1e9:
         raise ValueError(
@@ -461,7 +453,12 @@ class HoistSection(Schema):
     @field_validator("radius")
     @classmethod
     def _turns(cls, radius: float | None) -> float | None:
-        return None if radius is None else _not_nothing(radius)
+        if radius is not None and not 1e-9 < abs(radius) < 1e9:
+            raise ValueError(
+                "the magnitude is outside the plausible range 1e-9 to 1e9; check its exponent and "
+                "unit"
+            )
+        return radius
 
     def hoist(self) -> Hoist:
         """Return the record the numerics use."""

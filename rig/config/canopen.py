@@ -179,25 +179,17 @@ class ServoSection(Schema):
     quick_stop_deceleration_deg_s2: Positive = 2000.0
 
     @model_validator(mode="after")
-    def _one_axis(self) -> Self:
+    def _consistent(self) -> Self:
         if self.object_offset and self.sub_index:
             raise ValueError(
                 f"object_offset {self.object_offset:#x} and sub_index {self.sub_index} are both "
                 "set; remove one of these two keys"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _one_velocity_unit(self) -> Self:
         if self.velocity_unit is not None and self.velocity_unit_rad_s is not None:
             raise ValueError(
                 f"velocity_unit {self.velocity_unit} and velocity_unit_rad_s "
                 f"{self.velocity_unit_rad_s:g} are both set; remove one of these two keys"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _torque_is_bounded(self) -> Self:
         loop = self.position_loop
         if self.mode == "cst" and (loop.inertia_kg_m2 is None or not loop.drive_limits_speed):
             raise ValueError(

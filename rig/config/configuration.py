@@ -6,6 +6,7 @@ import difflib
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -67,17 +68,8 @@ class Document(Generic[M]):
 
     def other_files(self) -> list[Path]:
         """Return the other files from which values were read."""
-        found: dict[Path, None] = {}
-        waiting = [self._root]
-        while waiting:
-            node = waiting.pop()
-            if node.mark.file is not None:
-                found[node.mark.file] = None
-            if isinstance(node.value, dict):
-                waiting.extend(node.value.values())
-            elif isinstance(node.value, list):
-                waiting.extend(node.value)
-        return list(found)
+        files = (node.mark.file for node in self._root.walk())
+        return list(dict.fromkeys(file for file in files if file is not None))
 
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
         """Raise an InputError that lists the problems, if any, each a location and a message."""
@@ -90,21 +82,26 @@ def load_located(
     path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None
 ) -> Document[M]:
     """Read and validate a file (InputError with all errors), after ``prepare`` changed its tree."""
-    try:
+    with placed(path):
         text = read_text(path)
+    return located_text(path, text, schema, prepare)
+
+
+@contextmanager
+def placed(path: Path) -> Iterator[None]:
+    """Turn an error in a document into an InputError with its place."""
+    try:
+        yield
     except DocumentError as error:
         raise InputError(_format(path, error.mark, "document", error.message)) from error
-    return located_text(path, text, schema, prepare)
 
 
 def located_text(
     path: Path, text: str, schema: type[M], prepare: Callable[[Node], Node] | None = None
 ) -> Document[M]:
     """Validate the text of a configuration file as :func:`load_located` does."""
-    try:
+    with placed(path):
         root, duplicates = parse(text)
-    except DocumentError as error:
-        raise InputError(_format(path, error.mark, "document", error.message)) from error
     found: list[_Found] = [(mark, key, message, _ABSENT) for mark, key, message in duplicates]
     if prepare is not None:
         root = prepare(root)
@@ -128,24 +125,20 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
     """Format the validation problems of a JSON file (record or standard dataclass) with places."""
-    return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
+    with placed(path):
+        root, _ = parse(text)  # JSON is a subset of YAML
+    return _lines(path, list(_explain(root, schema, error)))
 
 
 def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
     """Format problems found in a JSON file after validation, each with its place."""
-    root, found = _json_tree(path, text), []
+    found = []
+    with placed(path):
+        root, _ = parse(text)
     for loc, message in problems:
         node, mark, path_found, _ = _resolve(root, loc)
         found.append((mark, _dotted(loc), message, node.plain() if path_found == loc else _ABSENT))
     return _lines(path, found)
-
-
-def _json_tree(path: Path, text: str) -> Node:
-    """Return JSON, which is a subset of YAML, as a tree with the places of the values."""
-    try:
-        return parse(text)[0]
-    except DocumentError as error:
-        raise InputError(_format(path, error.mark, "document", error.message)) from error
 
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
@@ -261,8 +254,6 @@ def _records_at(described: _Described, loc: Loc) -> list[dict[str, bool]]:
 def _resolve(root: Node, loc: Loc) -> tuple[Node, Mark, Loc, Mark | None]:
     """Follow a location as far as the tree has it, without names of union branches.
 
-    Returns the node, its mark, the path followed, and the mark of its last key (None for an index).
-
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an
         index).
@@ -312,6 +303,14 @@ def names(kind: Literal["benches", "sequences"]) -> list[str]:
 def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
     """Return the path of the packaged file of this name; the file need not exist."""
     return _HERE / kind / f"{name}.yaml"
+
+
+def beside(document: Document[Any], folder: Path, word: str) -> Path:
+    """Return the path of a changed bench file: beside a file of the user, else in a folder."""
+    path = document.path
+    if path == packaged(path.stem, "benches"):
+        return folder / "bench.yaml"
+    return path.with_name(f"{path.stem}.{word}{path.suffix}")
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:

@@ -196,14 +196,9 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
     """Return data bytes and period in cycles of each frame; 29-bit identifiers count 3 bytes."""
-    frames = [
-        (
-            message.size + (_EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0),
-            max(1, round(message.period_s / cycle_s)),
-            message.remote,
-        )
-        for message in (*wiring.sent.values(), *wiring.received.values())
-    ]
-    return [(size, every) for size, every, _ in frames] + [
-        (0, every) for _, every, remote in frames if remote
-    ]
+    frames = []
+    for message in (*wiring.sent.values(), *wiring.received.values()):
+        extended = _EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0
+        every = max(1, round(message.period_s / cycle_s))
+        frames += [(message.size + extended, every), *[(0, every)] * message.remote]
+    return frames

@@ -11,9 +11,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from rig.common.errors import InputError
-from rig.common.yaml_tree import DocumentError, Mark, Node, csv_rows, read_text
-from rig.config.configuration import Document, Schema, load_located, nearest, validated
+from rig.common.yaml_tree import Mark, Node, csv_rows, read_text
+from rig.config.configuration import Document, Schema, load_located, nearest, placed, validated
 
 Target = Literal["bus", "line", "encoder_line", "drive", "encoder", "host", "disk", "operator"]
 PhaseName = Literal[
@@ -40,21 +39,13 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of fault.
+    """One kind of fault."""
 
-    Attributes:
-        meaning: Description of the fault.
-        unit: Unit of ``value``; empty if the value has no unit.
-        default: Default of ``value``.
-        counted: Whether ``count`` applies.
-        integer: Whether ``value`` must be an integer.
-    """
-
-    meaning: str
-    unit: str = ""
-    default: float | None = None
-    counted: bool = False
-    integer: bool = False
+    meaning: str  # description of the fault
+    unit: str = ""  # unit of `value`; empty if the value has no unit
+    default: float | None = None  # default of `value`
+    counted: bool = False  # whether `count` applies
+    integer: bool = False  # whether `value` must be an integer
 
 
 _counted = partial(Kind, counted=True)
@@ -286,12 +277,8 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     """
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)
-    try:
+    with placed(path):
         rows = csv_rows(read_text(path), path, _COLUMNS)
-    except DocumentError as error:
-        raise InputError(
-            f"{path}:{error.mark.line}:{error.mark.column}: document: {error.message}"
-        ) from error
     top = Mark(1, 1)
     places = {"faults": top, "rows": top}
     root = Node({"faults": Node(1, top, {}), "rows": Node(rows, top, {})}, top, places)

@@ -194,7 +194,7 @@ class StageSection(Schema):
     role: Literal["fit", "validate"] = "fit"
 
     @model_validator(mode="after")
-    def _one_excitation(self) -> Self:
+    def _consistent(self) -> Self:
         if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
             raise ValueError("a stage needs exactly one excitation: tones, ramp or flow")
         if self.flow is not None and self.stage != "hot_fire":
@@ -202,22 +202,17 @@ class StageSection(Schema):
                 f"a flow command needs a gas generator, but the stage is {self.stage}; use stage: "
                 "hot_fire"
             )
-        if self.ramp is None:
-            return self
-        if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
+        given = self.model_fields_set & {"ramp_in_s", "ramp_out_s"}
+        if self.ramp is not None and given:
             raise ValueError(
                 f"{' and '.join(sorted(given))} fade tones in and out, and a ramp has no tones: "
                 f"leave {'it' if len(given) == 1 else 'them'} out"
             )
-        if self.ramp.moving_s > self.duration_s:
+        if self.ramp is not None and self.ramp.moving_s > self.duration_s:
             raise ValueError(
                 f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s "
                 f"{self.duration_s:g} s; increase duration_s"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
         if self.tones and self.ramp_in_s + self.ramp_out_s > self.duration_s:
             raise ValueError(
                 f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than "

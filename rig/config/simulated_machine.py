@@ -20,7 +20,6 @@ from drivers.amt21.encoder import COUNTS_PER_TURN
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.effects.own import injected
 from drivers.mock.plant.effects.pack import problems, too_light
-from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
 from rig.common.yaml_tree import Mark, Node
 from rig.config.configuration import nearest
@@ -74,7 +73,7 @@ def follow_bench(root: Node) -> Node:
         given = Node({}, root.mark, {})
     if not isinstance(given.value, dict):
         return root
-    mock = _under(given, derived(plain), root.keys.get("mock", given.mark))
+    mock = given.over(_nodes(derived(plain), root.keys.get("mock", given.mark)))
     return Node({**top, "mock": mock}, root.mark, {"mock": mock.mark, **root.keys})
 
 
@@ -100,12 +99,19 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     motor["rotor_inertia_kg_m2"] = (
         Motor.rotor_inertia_kg_m2 * share * (Motor.gear_ratio / gear) ** 2
     )
-    supply = _supply(bench)
+    low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
+    supply = None if low is None or high is None else 0.5 * (low + high)
+    limit_A, rate_Hz = _number(bench, "limits", "current_A"), _number(bench, "cycle_Hz")
     machine: dict[str, Section | float] = {
         "motor": motor,
         "joint": joint,
         "loops": _loops(bench, motor, share, supply),
-        "sensing": _sensing(bench),
+        "sensing": _known(
+            motor_counts_per_turn=_counts(bench, "servo", "counts_per_motor_turn", "canopen"),
+            joint_counts_per_turn=_counts(bench, "encoder", "counts_per_turn", "cia406"),
+            current_noise_A=limit_A and Sensing.current_noise_A * (limit_A / Loops.current_limit_A),
+            cycle_s=rate_Hz and 1.0 / rate_Hz,
+        ),
     }
     return machine if supply is None else {**machine, "supply_V": supply}
 
@@ -135,28 +141,12 @@ def _loops(
     )
 
 
-def _sensing(bench: Mapping[str, Any]) -> Section:
-    limit_A, rate_Hz = _number(bench, "limits", "current_A"), _number(bench, "cycle_Hz")
-    return _known(
-        motor_counts_per_turn=_counts(bench, "servo", "counts_per_motor_turn", "canopen"),
-        joint_counts_per_turn=_counts(bench, "encoder", "counts_per_turn", "cia406"),
-        current_noise_A=limit_A and Sensing.current_noise_A * (limit_A / Loops.current_limit_A),
-        cycle_s=rate_Hz and 1.0 / rate_Hz,
-    )
-
-
 def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> float | None:
     """Return an encoder's counts per turn, from the file or from the kind of the encoder."""
     found = bench.get(section)
     stated = found.get("kind", kind) if isinstance(found, dict) else kind
     fixed = _FALLBACK.get(stated) if isinstance(stated, str) else None
     return _number(bench, section, key) or fixed
-
-
-def _supply(bench: Mapping[str, Any]) -> float | None:
-    """Return the mean of the supply voltage limits, V, or None if one of the limits is not set."""
-    low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
-    return None if low is None or high is None else 0.5 * (low + high)
 
 
 def _simulated(bench: Mapping[str, Any]) -> bool:
@@ -184,17 +174,11 @@ def _known(**values: float | None) -> Section:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
-    """Add values to a mapping of the file; existing keys have priority."""
-    if not isinstance(given.value, dict):
-        return given
-    children = dict(given.value)
-    for name, value in values.items():
-        if isinstance(value, dict):
-            children[name] = _under(children.get(name, Node({}, mark, {})), value, mark)
-        elif name not in children:
-            children[name] = Node(value, mark, {})
-    return Node(children, given.mark, given.keys)
+def _nodes(value: Any, mark: Mark) -> Node:
+    """Return values that are not in the file as a tree, at one place and without places of keys."""
+    if isinstance(value, dict):
+        value = {name: _nodes(each, mark) for name, each in value.items()}
+    return Node(value, mark, {})
 
 
 def may_be(name: str) -> str:
@@ -306,7 +290,7 @@ _ADVISED_SHARE = 0.5
 """Recommended gain as a share of the gain at the stability limit: a gain margin of 6 dB."""
 
 
-def unstable_current_loop(machine: constants.Machine) -> str | None:
+def unstable_current_loop(machine: Machine) -> str | None:
     """Return a message with a stable gain if the current loop of a simulated drive is unstable.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
@@ -327,7 +311,7 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     )
 
 
-def _radius(machine: constants.Machine, gain: float) -> float:
+def _radius(machine: Machine, gain: float) -> float:
     """Return the growth factor of the loop's error per period."""
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
@@ -340,7 +324,7 @@ def _radius(machine: constants.Machine, gain: float) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 
 
-def _greatest_stable_gain(machine: constants.Machine) -> float:
+def _greatest_stable_gain(machine: Machine) -> float:
     """Return the gain at the stability limit, V/A; all lower gains are stable."""
     low, high = 0.0, machine.loops.current_gain_V_A
     for _ in range(_BISECTIONS):

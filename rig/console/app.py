@@ -31,7 +31,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.common.errors import InputError
-from rig.console.followed import Followed, Reached
+from rig.console.followed import Followed
 from rig.console.gate import (
     BURST,
     MOST_GREETING,
@@ -89,7 +89,16 @@ class View:
                     "may": page.may,
                 }
             ),
-            "moving": _same([_moving(each) for each in hub.moving]),
+            "moving": _same(
+                [
+                    {
+                        "key": each.key,
+                        "name": program_words(each.about),
+                        "stopping": bool(each.status and each.status["stopping"]),
+                    }
+                    for each in hub.moving
+                ]
+            ),
             "scope": _same(hub.scope),
             "choices": (0, hub.starter.choices),
             "run": (key, key),
@@ -167,11 +176,6 @@ def program_words(about: Mapping[str, Any]) -> str:
     return f"{about['name']} on {about['bench']}"
 
 
-def _moving(each: Reached) -> dict[str, Any]:
-    stopping = bool(each.status and each.status["stopping"])
-    return {"key": each.key, "name": program_words(each.about), "stopping": stopping}
-
-
 def _listed(run: Followed) -> dict[str, Any]:
     about = run.about
     return {
@@ -222,11 +226,6 @@ class Choice:
             raise ValueError(f"last must be a whole number from 1 to {MOST_SHOWN}")
         return cls(given.get("bench", ""), int(last))
 
-    @property
-    def pattern(self) -> str | None:
-        """The bench in the form that `rig runs` accepts, or None for every bench."""
-        return glob.escape(self.bench) if self.bench else None
-
 
 class Recorded:
     """Lists the runs of a folder, and serves the pages in the run folders, read only."""
@@ -271,30 +270,26 @@ class Recorded:
     def _read(self) -> None:
         entries: list[Entry] = []
         problem = ""
-        if self.root.is_dir():
-            try:
-                entries = list_runs(self.root).entries
-            except (InputError, OSError) as error:
-                problem = str(error)
+        try:
+            entries = list_runs(self.root).entries if self.root.is_dir() else []
+        except (InputError, OSError) as error:
+            problem = str(error)
         self._entries, self._problem = entries, problem
         self._folders = frozenset(entry.folder for entry in entries)
-
-    def _chosen(self, entries: Sequence[Entry], choice: Choice) -> Sequence[Entry]:
-        if choice.pattern is not None:
-            entries = chosen(self.root, entries, Wanted(bench=choice.pattern))
-        return latest(entries, choice.last)
 
     def _listed(self, choice: Choice) -> str:
         """Return the list as JSON in ASCII, whose escapes also encode names that are no Unicode."""
         everything = self._entries
-        listed = self._chosen(everything, choice)
+        wanted: Sequence[Entry] = everything
+        if choice.bench:
+            wanted = chosen(self.root, everything, Wanted(bench=glob.escape(choice.bench)))
         benches = {entry.head.bench for entry in everything} - {""}
         found = {
             "root": str(self.root.absolute()),
             "count": len(everything),
             "problem": self._problem,
             "benches": sorted(benches),
-            "runs": [self._row(entry) for entry in reversed(listed)],
+            "runs": [self._row(entry) for entry in reversed(latest(wanted, choice.last))],
         }
         return json.dumps(found)
 
@@ -347,7 +342,7 @@ class Console:
         recorded = Recorded(hub.starter.runs)
         self.app = Starlette(
             routes=[
-                Route("/", self._index, methods=["GET"]),
+                Route("/", self._static, methods=["GET"]),
                 Route("/static/{name}", self._static, methods=["GET"]),
                 Route("/command", self._posted(self._command), methods=["POST"]),
                 Route("/off", self._posted(self._off), methods=["POST"]),
@@ -375,13 +370,8 @@ class Console:
             self.failure = following.exception()
             self.broken()
 
-    async def _index(self, request: Request) -> Response:
-        return self._file("index.html")
-
     async def _static(self, request: Request) -> Response:
-        return self._file(request.path_params["name"])
-
-    def _file(self, name: str) -> Response:
+        name = request.path_params.get("name", "index.html")
         if name not in self._files:
             return _refused(404, "no such file")
         content, kind = self._files[name]
@@ -488,9 +478,10 @@ class Console:
         return await self._hub.starter.off(bench)
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        page = _in_contact(page)
+        if page is None:
+            raise Refusal("this page is not connected to the console; wait until it is connected")
         before = self._hub.controls.holder
-        self._hub.controls.take(page)
+        self._hub.controls.holder = page
         if before is not None and before is not page:
             self._hub.note(f"{page.name} took the controls from {before.name}")
         return {"words": "This page now holds the controls"}
@@ -595,12 +586,6 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
             page.window_s = float(window_s)
         if type(pixels) is int and 0 < pixels <= 4096:
             page.pixels = pixels
-
-
-def _in_contact(page: Page | None) -> Page:
-    if page is None:
-        raise Refusal("this page is not connected to the console; wait until it is connected")
-    return page
 
 
 def _refused(status: int, words: str) -> Response:

@@ -61,10 +61,6 @@ def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
     return np.stack([(derived | {**samples})[c.name] * c.scale for c in CHANNELS])
 
 
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else value * scale
-
-
 _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "prompt": lambda e: f"{e['stage']}: the operator is asked for the weight; the drive is off",
     "answer": lambda e: f"{e['stage']}: {e['weight_kg']:g} kg confirmed",
@@ -133,14 +129,9 @@ class Growing:
                 self._offset = piece.following
                 more = self._offset is not None and self._offset - begun >= READ_BYTES
         events = tuple(json.loads(content) for content in found[EVENT_TOPIC])
-        return News(_decoded(found[SAMPLE_TOPIC]), events, more)
-
-
-def _decoded(samples: list[bytes]) -> dict[str, Array]:
-    if not samples:
-        return {}
-    require_samples(samples)
-    return decode_samples(b"".join(samples))
+        samples = found[SAMPLE_TOPIC]
+        require_samples(samples)
+        return News(decode_samples(b"".join(samples)) if samples else {}, events, more)
 
 
 BLOCK = 10  # number of samples that are averaged for one point
@@ -192,13 +183,13 @@ def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
     if not model.measured:
         return None
     speeds = np.linspace(0.0, 2.0, _SPEEDS)[1:]
-    lines = []
+    system = system_friction(speeds, model.values, model.alpha)
+    load = model.moment_per_kg * load_coefficient(speeds, model.values, model.alpha)
     masses = {s.confirmed_kg for s in record.stages if s.confirmed_kg is not None}
-    for mass in sorted(masses):
-        system = system_friction(speeds, model.values, model.alpha)
-        load = load_coefficient(speeds, model.values, model.alpha)
-        torque = np.asarray(system + mass * model.moment_per_kg * load)
-        lines.append({"mass_kg": mass, "torque": np.round(torque, 4).tolist()})
+    lines = [
+        {"mass_kg": mass, "torque": np.round(system + mass * load, 4).tolist()}
+        for mass in sorted(masses)
+    ]
     return {"source": model.source, "speed": np.round(speeds * DEG, 4).tolist(), "lines": lines}
 
 
@@ -267,13 +258,18 @@ class Followed(Reached):
         # Starts of the recordings after the first, on the time axis of the charts, s.
         self.continued_s: list[float] = []
         limits = {row["channel"]: row for row in about["limits"]}
+
+        def end(channel: Channel, name: str) -> float | None:
+            value = limits.get(channel.name, {}).get(name)
+            return None if value is None else value * channel.scale
+
         self._channels = [
             {
                 "name": channel.name,
                 "label": channel.label,
                 "unit": channel.unit,
-                "low": _scaled(limits.get(channel.name, {}).get("low"), channel.scale),
-                "high": _scaled(limits.get(channel.name, {}).get("high"), channel.scale),
+                "low": end(channel, "low"),
+                "high": end(channel, "high"),
             }
             for channel in CHANNELS
         ]

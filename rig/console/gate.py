@@ -167,7 +167,7 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
 
         @property
         def asked(self) -> bool:
-            """Whether a request was read."""
+            """Whether the head of a request was read."""
             return getattr(self, "cycle", None) is not None
 
         @property
@@ -181,8 +181,7 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
             self._expiry.cancel()
 
         def _expire(self) -> None:
-            # None until the head of the first request is complete.
-            if getattr(self, "cycle", None) is None:
+            if not self.asked:
                 self.transport.abort()
 
     return Bounded

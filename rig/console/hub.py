@@ -58,7 +58,9 @@ class Page:
 
 
 class Controls:
-    """All open pages. At most one page holds the controls."""
+    """All open pages. At most one page is the ``holder`` of the controls; another page can become
+    the holder even if this page is frozen.
+    """
 
     def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
@@ -97,10 +99,6 @@ class Controls:
         page.may = True
         if self.holder is None:
             self.holder = page
-
-    def take(self, page: Page) -> None:
-        """Give the controls to a page even if another one, which may be frozen, holds them."""
-        self.holder = page
 
     def page(self, key: str) -> Page | None:
         """Return the open page with this key, or None if there is none."""

@@ -133,6 +133,14 @@ class Document:
         yield from _pictures(self.sections)
 
 
+def columns(
+    items: Iterable[Any], right: tuple[int, ...], *titled: tuple[str, Callable[[Any], str]]
+) -> Table:
+    """Return a table of one row per item, from titles and cells of its columns."""
+    rows = tuple(tuple(cell(item) for _, cell in titled) for item in items)
+    return Table(tuple(title for title, _ in titled), rows, right)
+
+
 def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
     for block in blocks:
         match block:
@@ -260,6 +268,12 @@ def write_page(document: Document, file: Path) -> None:
         for picture in document.pictures():
             (file.parent / picture.file).write_bytes(picture.data)
         write_text(file, page(document))
+
+
+def shown(document: Document, file: Path, what: str = "report") -> str:
+    """Write the page of a document; return its summary and the place of the page."""
+    write_page(document, file)
+    return f"{text(document)}\n{what}: {file}"
 
 
 def write_texts(texts: Mapping[str, str | bytes], folder: Path) -> None:

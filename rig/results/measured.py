@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from identification.recording import Array, Dataset, Recording
+from identification.effects.own import EffectError
+from identification.recording import Array, Dataset, Recording, RecordingError
 from rig.common.errors import InputError
 from rig.common.places import is_folder
 from rig.runs.catalogue.index import bench_name
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
-Measured = Callable[[RunRecord, Dataset | None, str], float | None]
-"""Computes a statistic, SI, of a run and its excitations; None if it was not recorded."""
 SIMULATED, PACED = ("answer",), ("lateness",)
 """Durations that a simulated bench measures in simulated time: the first always, the second only if
 the bench does not run in real time. In real time the lateness is that of this computer.
@@ -29,65 +29,59 @@ def clock_words(measure: str, record: RunRecord) -> str:
     return ""
 
 
-def _timing(part: str) -> Measured:
-    """Return the statistic of a timing histogram, s; of several recordings the worst counts."""
+_SIGNALS: Mapping[str, Callable[[Recording], Array | None]] = {
+    "tracking error": lambda r: _difference(r.channels.get("command"), r.channels.get("angle")),
+    "disagreement": lambda r: _difference(
+        r.channels.get("motor_angle"), r.channels.get("angle"), r.bench.gear_ratio
+    ),
+    "current": lambda r: r.channels.get("current"),
+    "temperature": lambda r: r.channels.get("temperature"),
+}
+_COUNTS = {"lost samples": ("lost_servo", "lost_encoder"), "missed SYNCs": ("missed_syncs",)}
 
-    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
-        timings = [p.timing[part] for p in record.parts if p.timing]
-        values = [t.get(f"{statistic}_us") for t in timings if isinstance(t, Mapping)]
+
+def _difference(first: Array | None, second: Array | None, ratio: float = 1.0) -> Array | None:
+    return None if first is None or second is None else np.asarray(first / ratio - second)
+
+
+def measured(
+    measure: str, record: RunRecord, dataset: Dataset | None, statistic: str
+) -> float | None:
+    """Return a statistic, SI, of a run and its excitations; None if it was not recorded.
+
+    ``measure`` is one of :data:`rig.config.acceptance.MEASURES`, but not the torque error. Of the
+    durations of several recordings the worst counts.
+    """
+    timings = [p.timing for p in record.parts if p.timing]
+    if measure in _COUNTS:
+        names = _COUNTS[measure]
+        return float(sum(t[name] for t in timings for name in names)) if timings else None
+    if measure not in _SIGNALS:
+        found = [t[measure] for t in timings if isinstance(t[measure], Mapping)]
+        values = [t.get(f"{statistic}_us") for t in found]
         known = [float(v) for v in values if isinstance(v, int | float)]
         return max(known) * 1e-6 if known and len(known) == len(values) else None
-
-    return measured
-
-
-def _count(*names: str) -> Measured:
-    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
-        timings = [p.timing for p in record.parts if p.timing]
-        return float(sum(t[name] for t in timings for name in names)) if timings else None
-
-    return measured
+    recordings = dataset.recordings if dataset else ()
+    traces = [trace for r in recordings if (trace := _SIGNALS[measure](r)) is not None]
+    if not traces or len(traces) < len(recordings):
+        return None
+    every = np.concatenate(traces)
+    if statistic == "worst":
+        return float(np.max(np.abs(every)))
+    return float(np.sqrt(np.mean(np.square(every))))
 
 
-def _trace(of: Callable[[Recording], Array | None]) -> Measured:
-    """Return rms or greatest magnitude of a signal over all excitations."""
-
-    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
-        recordings = dataset.recordings if dataset else ()
-        traces = [trace for each in recordings if (trace := of(each)) is not None]
-        if not traces or len(traces) < len(recordings):
-            return None
-        every = np.concatenate(traces)
-        if statistic == "worst":
-            return float(np.max(np.abs(every)))
-        return float(np.sqrt(np.mean(np.square(every))))
-
-    return measured
-
-
-def _difference(
-    first: str, second: str, ratio: bool = False
-) -> Callable[[Recording], Array | None]:
-    def of(recording: Recording) -> Array | None:
-        one, other = recording.channels.get(first), recording.channels.get(second)
-        if one is None or other is None:
-            return None
-        return np.asarray((one / recording.bench.gear_ratio if ratio else one) - other)
-
-    return of
-
-
-QUANTITIES: Mapping[str, Measured] = {
-    "lateness": _timing("lateness"),
-    "answer": _timing("answer"),
-    "tracking error": _trace(_difference("command", "angle")),
-    "disagreement": _trace(_difference("motor_angle", "angle", ratio=True)),
-    "current": _trace(lambda recording: recording.channels.get("current")),
-    "temperature": _trace(lambda recording: recording.channels.get("temperature")),
-    "lost samples": _count("lost_servo", "lost_encoder"),
-    "missed SYNCs": _count("missed_syncs"),
-}
-"""Functions of :data:`rig.config.acceptance.MEASURES`, except the torque error."""
+@contextmanager
+def named_errors(source: Path, remedy: str = "") -> Iterator[None]:
+    """Turn an error of recordings, with the name of their source, or of an effect of one's own into
+    an InputError.
+    """
+    try:
+        yield
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}{remedy}") from error
+    except EffectError as error:
+        raise InputError(str(error)) from error
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:

@@ -16,19 +16,21 @@ from .benches import sine, stages
 
 ROWS = """\
 import click
+import sys
 from pathlib import Path
 from rig.cli import entry as cli
 
 @click.command("rows")
 @click.argument("code", type=int)
-def command(code):
+def rows(code):
     made = open("made.txt", "w")
     print("\\n".join(f"row {number} \\xb5 \\xb0 \\u2603" for number in range(20000)))
     made.write("made")
     made.close()
     return code
 
-cli.COMMANDS["rows"] = ("__main__:command", "")
+sys.modules["rig.cli.commands.rows"] = sys.modules["__main__"]
+cli.COMMANDS["rows"] = ("rows", "")
 cli.main()
 """
 """A command that prints more than a pipe holds, makes a file, and ends with the status it is

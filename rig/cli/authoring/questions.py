@@ -63,25 +63,16 @@ class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of cli
 
 @dataclass(frozen=True)
 class Question:
-    """A question to the user.
+    """A question to the user."""
 
-    Attributes:
-        name: Name of the answer; with dashes, name of the option.
-        words: Text for the prompt and the help of the option.
-        unit: Unit of the answer; empty for none.
-        default: Default: a value, or a function of the earlier answers, or None if an answer is
-            required.
-        kind: Reads the answer.
-        when: Function of the earlier answers that decides whether the question applies.
-        refusal: Function of an answer that returns why the answer is refused, or None.
-    """
-
-    name: str
-    words: str
-    unit: str = ""
-    default: Any = None
-    kind: click.ParamType = POSITIVE  # type: ignore[type-arg]
+    name: str  # name of the answer; with dashes, name of the option
+    words: str  # text for the prompt and the help of the option
+    unit: str = ""  # unit of the answer; empty for none
+    default: Any = None  # a value, or a function of the earlier answers; None if there is none
+    kind: click.ParamType = POSITIVE  # type: ignore[type-arg] # reads the answer
+    # Function of the earlier answers that decides whether the question applies.
     when: Callable[[Mapping[str, Any]], bool] = lambda answers: True
+    # Function of an answer that returns why the answer is refused, or None.
     refusal: Callable[[Any], str | None] = lambda answer: None
 
     @property

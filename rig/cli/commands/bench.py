@@ -24,7 +24,7 @@ from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.control.attendance import connected
 from rig.control.check import describe, examine, require_connectable
-from rig.control.jog import Jog, held_only_here, move, plan_jog
+from rig.control.jog import held_only_here, move, plan_jog
 from rig.control.off import Off, given_up, make_off
 from rig.control.remote import RunProgress, stoppable
 from rig.control.sequencer import Outcome
@@ -34,7 +34,7 @@ from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.connect import connect
-from rig.wiring.devices import Devices, bench_line, say_taken_over, unprotected, watcher
+from rig.wiring.devices import bench_line, say_taken_over, unprotected, watcher
 from rig.wiring.preflight import require_startable
 from rig.wiring.teardown import observed
 
@@ -156,7 +156,7 @@ def _interruptible(document: Document[Bench], screen: Screen, stop: StopButton) 
 @click.option(
     "--speed", type=shared.Number(), default=5.0, help="Greatest speed on the way, deg/s."
 )
-@click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
+@shared.realtime
 @shared.simulated_seed
 @shared.reset_fault()
 @shared.record_file("Also write the outcome to this file.")
@@ -183,7 +183,7 @@ def jog(
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
     require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
-    screen = Screen()
+    screen, value = Screen(), document.value
     screen.silence()
     outcome = None
     agreed = False
@@ -200,21 +200,29 @@ def jog(
         batches = [angles] if angles else _asked(prompt, stop, screen)
         for batch in batches:
             try:
-                planned = plan_jog(document.value, batch, speed)
+                planned = plan_jog(value, batch, speed)
             except InputError as error:
                 screen.say(str(error))
                 continue
-            if (
-                not agreed
-                and (words := held_only_here(planned, document.value, devices)) is not None
-            ):
+            words = None if agreed else held_only_here(planned, value, devices)
+            if words is not None:
                 screen.say(words)
-                agreed = _agreed(prompt, stop, screen, document.value.simulated)
+                agreed = _agreed(prompt, stop, screen, value.simulated)
                 if not agreed:
-                    safe = observed(devices.off_proof(bench_limits(document.value)).prove())
+                    safe = observed(devices.off_proof(bench_limits(value)).prove())
                     outcome = Outcome(Ending.STOPPED, "not confirmed; nothing was moved", safe)
                     break
-            outcome = _move(document.value, planned, devices, stop, screen, reset_fault)
+            span = math.radians(value.limits.angle_max_deg - value.limits.angle_min_deg)
+            longest_s = len(planned.angles) * span / planned.speed
+            outcome = move(
+                planned,
+                value,
+                devices,
+                stop,
+                RunProgress(value.cycle_s, longest_s, screen),
+                lambda words, good: screen.say(words, err=not good),
+                reset_fault,
+            )
             if outcome.ending is not Ending.DONE:
                 break
     write_asked(json_file, _record(bench, outcome))
@@ -256,26 +264,6 @@ def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -
     except OperatorStopError as error:
         raise KeyboardInterrupt from error
     return answer.lower() in ("y", "yes")
-
-
-def _move(
-    bench: Bench,
-    planned: Jog,
-    devices: Devices,
-    stop: StopButton,
-    screen: Screen,
-    reset_fault: bool,
-) -> Outcome:
-    span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
-    return move(
-        planned,
-        bench,
-        devices,
-        stop,
-        RunProgress(bench.cycle_s, len(planned.angles) * span / planned.speed, screen),
-        lambda words, good: screen.say(words, err=not good),
-        reset_fault,
-    )
 
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:

@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -18,7 +18,8 @@ from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED
-from rig.commissioning.commission import Commissioning, commission
+from rig.commissioning.commission import Commissioning
+from rig.commissioning.commission import commission as go_through
 from rig.commissioning.record import StepRecord
 from rig.commissioning.record import Verdict as Found
 from rig.commissioning.setup import (
@@ -32,7 +33,7 @@ from rig.common.errors import InputError
 from rig.common.places import require_file, require_folder, usable, write_asked, write_text
 from rig.common.provenance import sha256, utc_now, versions
 from rig.config.bench import Bench, load_bench
-from rig.config.configuration import Document, packaged
+from rig.config.configuration import Document, beside
 from rig.control.attendance import connected
 from rig.control.remote import stoppable
 from rig.fault_injection.scene import Scene
@@ -66,15 +67,13 @@ COMMISSION_SCHEMA = "loadrig.commission/1"
 
 @click.command("commission")
 @click.argument("bench")
-@click.option(
-    "--out",
-    type=shared.PATH,
-    help="Folder of the protocol, new or empty. [default: runs/<utc>-commission-<name>]",
+@shared.path(
+    "--out", "Folder of the protocol, new or empty. [default: runs/<utc>-commission-<name>]"
 )
-@click.option(
+@shared.path(
     "--bench-out",
+    "New file for the corrected bench. [default: BENCH with .commissioned before its ending]",
     type=shared.FILE,
-    help="New file for the corrected bench. [default: BENCH with .commissioned before its ending]",
 )
 @click.option(
     "--angle",
@@ -113,7 +112,7 @@ COMMISSION_SCHEMA = "loadrig.commission/1"
     help="Longest time of the homing, s. [default: 5 if the homing method moves nothing, else from "
     "the limits of angle and speed]",
 )
-@click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
+@shared.flag("--yes", "Agree to every step; on a simulated bench only.")
 @click.option(
     "--mistake",
     type=click.Choice(sorted(MISTAKES)),
@@ -122,7 +121,7 @@ COMMISSION_SCHEMA = "loadrig.commission/1"
 @shared.simulated_seed
 @shared.operator_name
 @shared.record_file("Also write commission.json to this file.")
-def command(
+def commission(
     bench: str,
     out: Path | None,
     bench_out: Path | None,
@@ -168,7 +167,7 @@ def command(
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-commission-{document.value.name}"
     require_folder(folder, "--out")
     require_unused(folder)
-    new_file = bench_out or _new_file(document, folder)
+    new_file = bench_out or beside(document, folder, "commissioned")
     require_file(new_file if bench_out else None, "--bench-out")
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
@@ -185,7 +184,7 @@ def command(
         if not yes:
             interview = TypedInterview(screen, Prompt(screen, control=control), stop, angle_deg)
         with create_folder(folder, "rig commission"):
-            result = commission(
+            result = go_through(
                 document,
                 _connections(stop, seed, mistake, screen),
                 interview,
@@ -260,14 +259,6 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
             f"{document.path}: there is no terminal to ask at, and this bench is real: run at a "
             f"terminal"
         )
-
-
-def _new_file(document: Document[Bench], folder: Path) -> Path:
-    """Return the path of the corrected bench file, beside a file of the user."""
-    path = document.path
-    if path == packaged(path.stem, "benches"):
-        return folder / "bench.yaml"
-    return path.with_name(f"{path.stem}.commissioned{path.suffix}")
 
 
 Connect = Callable[[Document[Bench]], Any]
@@ -357,7 +348,12 @@ def commission_document(
         found = "Every step was good"
     statement = f"{words} {drive[0].upper()}{drive[1:]}."
     headline = Headline(found, statement, "good" if good else "found")
-    summary = Section("Commissioning", (headline, *_changes(result, new_file)))
+    changes: tuple[Items | Note, ...] = (Note("no value of the bench file had to be corrected"),)
+    if result.changes:
+        values = Items(tuple((f"{c.section}.{c.key}", str(c.value)) for c in result.changes))
+        place = f"with these values: {new_file}" if new_file else "no new bench file was written"
+        changes = (Note("corrected values:"), values, Note(place))
+    summary = Section("Commissioning", (headline, *changes))
     last = len(result.sessions)
     sections = [summary]
     for number, steps in enumerate(result.sessions, start=1):
@@ -369,25 +365,11 @@ def commission_document(
     return Page(f"Commissioning of {bench.value.name}", subtitle, (summary,), tuple(sections))
 
 
-def _changes(result: Commissioning, new_file: str) -> tuple[Items | Note, ...]:
-    if not result.changes:
-        return (Note("no value of the bench file had to be corrected"),)
-    shown = Items(tuple((f"{c.section}.{c.key}", str(c.value)) for c in result.changes))
-    place = Note(f"with these values: {new_file}" if new_file else "no new bench file was written")
-    return (Note("corrected values:"), shown, place)
-
-
 def _step(step: StepRecord) -> Section:
     rows = tuple((item.name, item.value, item.unit) for item in step.measured)
     measured = (Table(("measured", "value", "unit"), rows, (1,)),) if rows else ()
     consent = f" Agreed to: {step.consent}." if step.consent else ""
-    words = f"{step.verdict.value}: {step.words}"
-    wrong = step.verdict is Found.WRONG
-    return Section(
-        step.name,
-        (
-            Note(f"{step.announced}{consent}", "aside"),
-            *measured,
-            Note(words, "warning" if wrong else "plain"),
-        ),
-    )
+    announced = Note(f"{step.announced}{consent}", "aside")
+    tone: Literal["warning", "plain"] = "warning" if step.verdict is Found.WRONG else "plain"
+    words = Note(f"{step.verdict.value}: {step.words}", tone)
+    return Section(step.name, (announced, *measured, words))

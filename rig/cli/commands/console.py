@@ -27,17 +27,12 @@ DEFAULT_BENCH = "practical"
 
 @click.command("console")
 @click.argument("benches", metavar="[BENCH]...", nargs=-1)
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=PORT,
-    help="Port on this computer; 0 for a free port.",
-)
-@click.option(
+@shared.port(PORT)
+@shared.path(
     "--runs",
+    "Folder for runs that are started from the page; the page lists the runs in this folder.",
     type=shared.FOLDER,
     default=Path("runs"),
-    help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
 def console(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """Watch, stop and pause runs on a page, answer their prompts, and start new runs on BENCH, a
@@ -63,12 +58,8 @@ def console(benches: tuple[str, ...], port: int, runs: Path) -> int:
     starter = Starter(benches or tuple(packaged), runs)
     # Ctrl-C is the ordinary end.
     with suppress(KeyboardInterrupt):
-        serve(starter, shown, port, _announce)
+        serve(starter, shown, port, lambda address: click.echo(f"console: {address}"))
     return DONE
-
-
-def _announce(address: str) -> None:
-    click.echo(f"console: {address}")
 
 
 FOXGLOVE_PORT = 8765
@@ -80,17 +71,10 @@ _NO_TOKEN = (
 
 @click.command("watch")
 @click.argument("run", type=shared.PATH)
-@click.option("--foxglove", is_flag=True, help="Serve over Foxglove's WebSocket.")
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=FOXGLOVE_PORT,
-    help="Port on this computer; 0 for a free port.",
-)
-@click.option(
-    "--no-token",
-    is_flag=True,
-    help="Require no token in the address, because PlotJuggler cannot send a token.",
+@shared.flag("--foxglove", "Serve over Foxglove's WebSocket.")
+@shared.port(FOXGLOVE_PORT)
+@shared.flag(
+    "--no-token", "Require no token in the address, because PlotJuggler cannot send a token."
 )
 @click.option(
     "--last",
@@ -127,18 +111,24 @@ def watch(
     if not foxglove:
         raise InputError("rig watch: no protocol is chosen; add --foxglove")
     record = read_record(run)
-    number = _number(run, record, part)
+    count = len(record.parts)
+    if part is not None and part > count:
+        have = "1 recording" if count == 1 else f"{count} recordings"
+        raise InputError(f"--part: {run} has {have} (got {part})")
+    number = part or count
     recording = run / record.parts[number - 1].file
     if not recording.is_file():
         raise InputError(f"{recording}: no such file; the run folder is incomplete")
+    bench = "simulated" if record.simulated else "REAL"
+    shown = f"{bench} bench, recording {number}" if count > 1 else f"{bench} bench"
     offer = Offer(
         recording=recording,
-        name=_name(run, record, number),
+        name=f"{record.name} in {run} ({shown})",
         token=None if no_token else secrets.token_urlsafe(16),
         last_s=last,
     )
     try:
-        asyncio.run(serve(offer, port, lambda bound: _watch_announce(offer, record, bound)))
+        asyncio.run(serve(offer, port, lambda bound: _announce(offer, record, bound)))
     except KeyboardInterrupt:
         click.echo("no longer served")
     except OSError as error:
@@ -149,21 +139,7 @@ def watch(
     return DONE
 
 
-def _number(run: Path, record: RunRecord, part: int | None) -> int:
-    count = len(record.parts)
-    if part is not None and part > count:
-        have = "1 recording" if count == 1 else f"{count} recordings"
-        raise InputError(f"--part: {run} has {have} (got {part})")
-    return part or count
-
-
-def _name(run: Path, record: RunRecord, number: int) -> str:
-    bench = "simulated" if record.simulated else "REAL"
-    part = f", recording {number}" if len(record.parts) > 1 else ""
-    return f"{record.name} in {run} ({bench} bench{part})"
-
-
-def _watch_announce(offer: Offer, record: RunRecord, port: int) -> None:
+def _announce(offer: Offer, record: RunRecord, port: int) -> None:
     """Print the address for each tool, and the paths of the layouts."""
     query = "" if offer.token is None else "/?" + urlencode({"token": offer.token})
     address = f"ws://{HOST}:{port}{query}"

@@ -7,21 +7,22 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
+from rig.common.errors import InputError
+from rig.common.places import is_folder, require_folder, write_asked
+from rig.terminal.output import ShareBar
 
 
 @click.command("diagnose")
 @click.argument("source", type=shared.PATH)
 @shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
-@click.option(
+@shared.flag(
     "--gas",
-    is_flag=True,
-    help="Diagnose the gas generator, from pressure and valve angle; needed only if the "
+    "Diagnose the gas generator, from pressure and valve angle; needed only if the "
     "recordings contain torque as well.",
 )
-@click.option(
+@shared.flag(
     "--observable",
-    is_flag=True,
-    help="Make no diagnosis: print which effects the recordings can show, the least size of each "
+    "Make no diagnosis: print which effects the recordings can show, the least size of each "
     "that they show, and which effects they cannot distinguish.",
 )
 @shared.own_effects
@@ -64,25 +65,19 @@ def diagnose(
     if observable:
         if gas:
             raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
-        from rig.common.places import write_json
         from rig.results.diagnose.document import observable_document, observe_source
         from rig.results.diagnose.own_effects import read_effects
         from rig.results.document import text
 
         seen = observe_source(source, seed, bandwidth, read_effects(effects_file))
-        if json_file is not None:
-            write_json(json_file, seen.record())
+        write_asked(json_file, seen.record())
         click.echo(text(observable_document(source, seen)))
         return
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import is_folder, require_folder, source_name
-    from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
-    from rig.results.diagnose.document import diagnose_document
-    from rig.results.diagnose.exports import exports
+    from rig.results.diagnose.diagnose import diagnose_source
+    from rig.results.diagnose.exports import write_diagnosis
     from rig.results.diagnose.own_effects import read_effects
-    from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
-    from rig.results.measured import facts_of
-    from rig.terminal.output import ShareBar
+    from rig.results.document import PAGE_FILE, text
 
     folder = out or (
         source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed")
@@ -92,12 +87,7 @@ def diagnose(
         own = read_effects(effects_file)
         outcome = diagnose_source(source, seed, bandwidth, bar, True, gas, None, partial, own)
         bar("writing the report", 1.0)
-        record = outcome.record()
-        write_record(record, folder / RESULT_FILE, json_file)
-        beside = exports(source, outcome, record)
-        write_texts({file.name: file.text for file in beside.files}, folder)
-        document = diagnose_document(source_name(source), outcome, beside, facts_of(source))
-        write_page(document, folder / PAGE_FILE)
+        _, document, beside = write_diagnosis(source, outcome, folder, json_file)
     click.echo(text(document))
     for note in beside.notes:
         click.echo(f"note: {note}")
@@ -108,19 +98,18 @@ def diagnose(
 
 @click.command("effects")
 @click.argument("name", required=False)
-@click.option(
+@shared.path(
     "--check",
-    metavar="FILE.py",
-    type=shared.FILE,
-    help="Run a Python file with effects of one's own, and say what is wrong with each: units, a "
+    "Run a Python file with effects of one's own, and say what is wrong with each: units, a "
     "size that no parameter determines.",
+    type=shared.FILE,
+    metavar="FILE.py",
 )
-@click.option(
+@shared.path(
     "--on",
-    metavar="SOURCE",
-    type=shared.PATH,
-    help="With --check, also say whether these recordings can show each effect, and which effect "
+    "With --check, also say whether these recordings can show each effect, and which effect "
     "of the catalogue it copies.",
+    metavar="SOURCE",
 )
 @shared.result_file
 def effects(name: str | None, check: Path | None, on: Path | None, json_file: Path | None) -> int:
@@ -136,7 +125,6 @@ def effects(name: str | None, check: Path | None, on: Path | None, json_file: Pa
       rig effects --check mine.py --on runs/demo
     """
     from identification.effects import EFFECTS
-    from rig.common.places import write_asked, write_json
     from rig.results.diagnose.document import effects_record, entry_of, overview, whole
 
     if check is not None:
@@ -154,8 +142,7 @@ def effects(name: str | None, check: Path | None, on: Path | None, json_file: Pa
         raise click.UsageError("--on belongs to --check; add --check FILE.py")
     shown = [entry_of(name)] if name else list(EFFECTS.values())
     click.echo(whole(shown[0]) if name else overview(shown))
-    if json_file is not None:
-        write_json(json_file, effects_record(shown))
+    write_asked(json_file, effects_record(shown))
     return 0
 
 
@@ -197,8 +184,6 @@ def model(
       rig model runs/demo --effects mine.py
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.errors import InputError
-    from rig.common.places import require_folder, write_asked
     from rig.results.diagnose.own_effects import read_effects
     from rig.results.document import write_texts
     from rig.results.model import exported, read_model

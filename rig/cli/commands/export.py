@@ -32,10 +32,8 @@ from rig.wiring.devices import until_the_end
 @click.argument("source", type=shared.PATH)
 @click.option("--format", "kind", type=click.Choice(FORMATS), default="csv")
 @shared.partial
-@click.option(
-    "--out",
-    type=shared.PATH,
-    help="File to write [default: <source name>.<format>]; an ending that is missing is added.",
+@shared.path(
+    "--out", "File to write [default: <source name>.<format>]; an ending that is missing is added."
 )
 def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.

@@ -8,6 +8,8 @@ from typing import Any
 import click
 
 from rig.cli import options as shared
+from rig.common.places import is_folder, require_folder, source_name
+from rig.terminal.output import ShareBar
 
 _METHODS: dict[str, tuple[str, ...]] = {
     "default": ("default",),
@@ -27,17 +29,15 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
     default="default",
     help="Estimation method; `both` shows both methods side by side.",
 )
-@click.option(
+@shared.flag(
     "--compare",
-    "compared",
-    is_flag=True,
-    help="Also run the paper's GA, differential evolution, CMA-ES and multi-start least squares, "
+    "Also run the paper's GA, differential evolution, CMA-ES and multi-start least squares, "
     "and compare the results.",
+    "compared",
 )
-@click.option(
+@shared.flag(
     "--profile",
-    is_flag=True,
-    help="Also compute the profile likelihood of every parameter, with its 90 % range; takes some "
+    "Also compute the profile likelihood of every parameter, with its 90 % range; takes some "
     "ten seconds more.",
 )
 @click.option(
@@ -57,10 +57,9 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
 @click.option(
     "--bench", default="practical", help="With --plan: bench for which the sequence is planned."
 )
-@click.option(
+@shared.path(
     "--nominal",
-    type=shared.PATH,
-    help="With --plan: last accepted result of `rig identify --json`. [default: the paper's "
+    "With --plan: last accepted result of `rig identify --json`. [default: the paper's "
     "friction and the practical bench's inertia]",
 )
 @click.option(
@@ -72,15 +71,12 @@ _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
 )
 @shared.bandwidth("Bandwidth of torque and regressors; chosen from the recordings if left out.")
 @shared.partial
-@click.option(
-    "--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well."
-)
-@click.option(
+@shared.flag("--ladder", "Fit and score every friction model of the ladder as well.")
+@shared.path(
     "--score",
-    metavar="SOURCE",
-    type=shared.PATH,
-    help="Another source on which the result is scored: error and noise floor of that source, "
+    "Another source on which the result is scored: error and noise floor of that source, "
     "and the parameters that changed.",
+    metavar="SOURCE",
 )
 @shared.seed()
 @shared.out_folder(
@@ -138,46 +134,28 @@ def identify(
             "--method paper out"
         )
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import is_folder, require_folder, source_name
-    from rig.common.provenance import RESULT_FILE
-    from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.fleet import (
-        FLEET_FILE,
-        campaign_of_units,
-        fleet_document,
-        fleet_record,
-        identify_fleet,
-        unit_records,
-    )
-    from rig.results.identify.document import identify_document
-    from rig.results.identify.identify import (
-        Request,
-        compare_methods,
-        identify_source,
-        outcome_record,
-    )
-    from rig.results.measured import facts_of
+    from rig.results import fleet
+    from rig.results.document import PAGE_FILE, shown, text, write_record
+    from rig.results.identify.document import write_identification
+    from rig.results.identify.identify import Request, compare_methods, identify_source
     from rig.runs.recorded_inputs import truth_of
-    from rig.terminal.output import ShareBar
 
     folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     request = Request(_METHODS[method], bandwidth, **options)
-    if (campaign := campaign_of_units(source)) is not None:
+    if (campaign := fleet.campaign_of_units(source)) is not None:
         if compared or method != "default" or any(options[n] for n in _OF_ONE_UNIT):
             raise click.UsageError(
                 "the campaign has several units, which --method, --compare, --ladder, --score, "
                 "--profile and --bootstrap do not take; use a campaign with one unit"
             )
         with ShareBar() as bar:
-            fleet = identify_fleet(source, campaign, request, bar)
-        write_record(fleet_record(fleet), folder / FLEET_FILE, json_file)
-        for file, record in unit_records(fleet):
+            units = fleet.identify_fleet(source, campaign, request, bar)
+        write_record(fleet.fleet_record(units), folder / fleet.FLEET_FILE, json_file)
+        for file, record in fleet.unit_records(units):
             write_record(record, folder / file, None)
-        document = fleet_document(source_name(source), fleet)
-        write_page(document, folder / PAGE_FILE)
-        click.echo(text(document))
-        click.echo(f"report: {folder / PAGE_FILE}")
+        document = fleet.fleet_document(source_name(source), units)
+        click.echo(shown(document, folder / PAGE_FILE))
         return
     with ShareBar() as bar:
         outcome = identify_source(source, request, bar)
@@ -185,9 +163,7 @@ def identify(
         if compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        write_record(outcome_record(outcome), folder / RESULT_FILE, json_file)
-        document = identify_document(source_name(source), outcome, truth, facts_of(source))
-        write_page(document, folder / PAGE_FILE)
+        _, document = write_identification(source, outcome, truth, folder, json_file)
     click.echo(text(document))
     click.echo(f"report: {folder / PAGE_FILE}")
 
@@ -201,12 +177,10 @@ def _plan(
     json_file: Path | None,
 ) -> None:
     """Report which parameters a sequence would determine."""
-    from rig.common.places import require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
     from rig.results.document import text, write_record
     from rig.results.identify.plan import RESULT_FILE, plan_document, plan_experiment, plan_record
-    from rig.terminal.output import ShareBar
 
     folder = out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")
@@ -220,12 +194,12 @@ def _plan(
 
 @click.command("simulate")
 @click.argument("source", type=shared.PATH)
-@click.option(
+@shared.path(
     "--result",
+    "Result file of rig identify or rig diagnose.",
+    type=shared.FILE,
     metavar="FILE",
     required=True,
-    type=shared.FILE,
-    help="Result file of rig identify or rig diagnose.",
 )
 @shared.own_effects
 @shared.bandwidth("Bandwidth of the errors. [default: that of the result]")
@@ -254,28 +228,19 @@ def simulate(
       rig simulate later.yaml --result found.json
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_folder, source_name
     from rig.results.diagnose.own_effects import read_effects
-    from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
-    from rig.results.identify.simulate import (
-        RESULT_FILE,
-        as_bench,
-        simulate_document,
-        simulate_source,
-        simulation_record,
-    )
-    from rig.terminal.output import ShareBar
+    from rig.results.document import PAGE_FILE, shown, write_record, write_texts
+    from rig.results.identify import simulate as model
 
     folder = out or Path(f"{source_name(source)}-simulated")
     require_folder(folder, "--out")
     with ShareBar() as bar:
         own = read_effects(effects_file)
-        found = simulate_source(source, result, bandwidth, bar, own)
+        found = model.simulate_source(source, result, bandwidth, bar, own)
         bar("writing the report", 1.0)
-        write_record(simulation_record(found), folder / RESULT_FILE, json_file)
-        bench, said = as_bench(source, found, own)
+        write_record(model.simulation_record(found), folder / model.RESULT_FILE, json_file)
+        bench, said = model.as_bench(source, found, own)
         write_texts(bench, folder)
-        document = simulate_document(source_name(source), found, said)
-        write_page(document, folder / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {folder / PAGE_FILE}")
+        document = model.simulate_document(source_name(source), found, said)
+        report = shown(document, folder / PAGE_FILE)
+    click.echo(report)

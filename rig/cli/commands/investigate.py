@@ -6,26 +6,33 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import options as shared
+from rig.cli.crash import note_drive
+from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
+from rig.common.errors import InputError, InUseError
+from rig.common.locks import hold_folder
+from rig.common.places import is_file, require_file, require_folder, write_asked, write_text
+from rig.common.provenance import heading, sha256_file
+from rig.terminal.output import ShareBar
 
 if TYPE_CHECKING:
     from rig.config.bench import Bench
     from rig.config.configuration import Document
     from rig.investigate.confirmation import Confirmation
     from rig.investigate.investigation import Judgement, State
-    from rig.terminal.output import ShareBar
 
 FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run is given
 
 
 @click.command("investigate")
 @click.argument("sources", metavar="[SEQUENCE | RUN...]", nargs=-1)
-@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
+@shared.bench_name
 @click.option(
     "--budget",
     "budget_min",
@@ -39,17 +46,17 @@ FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run 
     metavar='"A, B"',
     help="Names of effects; only these, and that nothing is missing, are weighed.",
 )
-@click.option(
+@shared.path(
     "--confirm",
-    "result",
-    metavar="RESULT",
-    type=shared.FILE,
-    help="Choose no experiment: only predict the confirming one with the model of this result of "
+    "Choose no experiment: only predict the confirming one with the model of this result of "
     "`rig diagnose` or `rig investigate`, and run it.",
+    "result",
+    type=shared.FILE,
+    metavar="RESULT",
 )
 @shared.out_folder("Folder of the investigation. [default: ./investigation]")
 @shared.yes
-@click.option("--resume", is_flag=True, help="Go on with the investigation in the folder --out.")
+@shared.flag("--resume", "Go on with the investigation in the folder --out.")
 @shared.seed()
 @shared.operator_name
 @shared.result_file
@@ -85,19 +92,8 @@ def investigate(
     """
     # Imported late: --help must not wait for the numerics.
     from drivers.errors import DeviceError
-    from rig.cli.crash import note_drive
-    from rig.common.errors import InputError, InUseError
-    from rig.common.locks import hold_folder
-    from rig.common.places import require_folder
-    from rig.common.provenance import sha256_file
     from rig.config.bench import load_bench
-    from rig.investigate.investigation import (
-        STATE_FILE,
-        Investigation,
-        State,
-        drive_after,
-        load_state,
-    )
+    from rig.investigate import investigation
     from rig.wiring.devices import bench_line, until_the_end
 
     folder = out or Path("investigation")
@@ -105,31 +101,33 @@ def investigate(
     bench_file = load_bench(bench)
     click.echo(bench_line(bench_file))
     if resume:
-        state = load_state(folder)
+        state = investigation.load_state(folder)
         if sha256_file(bench_file.path) != state.bench["sha256"]:
             raise InputError(
                 f"{bench_file.path}: changed since the investigation began; resume it with the "
                 "same bench file, or begin a new investigation with its runs"
             )
     else:
-        if (folder / STATE_FILE).exists():
+        if (folder / investigation.STATE_FILE).exists():
             raise InputError(f"{folder}: holds an investigation; give --resume, or another --out")
         names = _effects(question)
         digest = {"file": str(bench_file.path), "sha256": sha256_file(bench_file.path)}
-        state = State(digest, seed, budget_min, names)
+        state = investigation.State(digest, seed, budget_min, names)
         _take_sources(state, sources, result)
     folder.mkdir(parents=True, exist_ok=True)
     until_the_end(hold_folder(folder, "rig investigate"))
     try:
-        with _Progress() as progress:
+        with closing(_Progress()) as progress:
             runner = _runner(bench_file, state, yes, operator_name, progress)
-            investigation = Investigation(bench_file, folder, state, runner, progress.say, progress)
-            judged, confirmation = investigation.run()
+            judged, confirmation = investigation.Investigation(
+                bench_file, folder, state, runner, progress.say, progress
+            ).run()
     except (KeyboardInterrupt, click.Abort, DeviceError, InUseError) as stop:
         state.save(folder)
         given = ["--bench", bench, "--out", str(folder), *["--yes"] * yes]
         again = shlex.join(["rig", "investigate", "--resume", *given])
-        note_drive(stop, f"{drive_after(folder, state)}\ngo on with: {again}")
+        drive = investigation.drive_after(folder, state)
+        note_drive(stop, f"{drive}\ngo on with: {again}")
         raise
     return _report(folder, state, judged, confirmation, json_file)
 
@@ -140,15 +138,7 @@ class _Progress:
     def __init__(self) -> None:
         self._bar: ShareBar | None = None
 
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
     def __call__(self, what: str, share: float) -> None:
-        from rig.terminal.output import ShareBar
-
         self._bar = self._bar or ShareBar()
         self._bar(what, share)
 
@@ -167,7 +157,6 @@ class _Progress:
 def _effects(question: str | None) -> list[str]:
     """Return the effects of a question, or an InputError that names the nearest ones."""
     from identification.effects import EFFECTS
-    from rig.common.errors import InputError
     from rig.config.configuration import nearest
 
     names = [name.strip() for name in (question or "").split(",") if name.strip()]
@@ -183,8 +172,6 @@ def _effects(question: str | None) -> list[str]:
 
 def _take_sources(state: State, sources: tuple[str, ...], result: Path | None) -> None:
     """Note the first sequence, or the runs that exist, in the state."""
-    from rig.common.errors import InputError
-    from rig.common.places import is_file
     from rig.config.sequence import load_sequence
     from rig.investigate.investigation import given_run
     from rig.results.diagnose.model_file import read_result
@@ -216,7 +203,6 @@ def _runner(
     """Return the function that runs one experiment, by the command `rig run`."""
     from drivers.errors import DeviceError
     from rig.cli.commands.run import run
-    from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
 
     def one(sequence: Path, folder: Path) -> None:
         progress.close()
@@ -248,7 +234,6 @@ def _report(
     json_file: Path | None,
 ) -> int:
     """Write record, page and model files, and print the summary."""
-    from rig.cli.entry import DONE
     from rig.investigate import page
     from rig.results.diagnose.diagnose import RESULT_FILE
     from rig.results.diagnose.exports import exports
@@ -276,8 +261,8 @@ def _report(
 @click.command("design")
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=shared.PATH)
 @click.option("--bench", required=True, help="Bench file, or the name of a packaged bench.")
-@click.option(
-    "--out", type=shared.FILE, default=Path("next.yaml"), help="Sequence file of the experiment."
+@shared.path(
+    "--out", "Sequence file of the experiment.", type=shared.FILE, default=Path("next.yaml")
 )
 @click.option("--question", metavar='"A, B"', help="Names of the only effects that are weighed.")
 @shared.seed()
@@ -301,24 +286,22 @@ def design(
       rig run next.yaml --yes --out runs/next
       rig design runs/demo runs/next --bench practical
     """
-    from rig.cli.entry import BAD_VERDICT, DONE
-    from rig.common.places import require_file, write_asked, write_text
-    from rig.common.provenance import heading
     from rig.config.bench import load_bench
     from rig.config.sequence import plain_sequence, sequence_text
     from rig.investigate.choice import propose
     from rig.investigate.experiments import SimulatedBench
     from rig.investigate.investigation import judge_recordings, read_runs
-    from rig.terminal.output import ShareBar
 
     require_file(out, "--out")
     bench_file = load_bench(bench)
     with ShareBar() as bar:
         judged = judge_recordings(read_runs(runs), runs[0], seed, _effects(question), bar)
         known = SimulatedBench.of(bench_file), judged.weighed, judged.diagnosis.fit.bandwidth_Hz
-        found = propose(*known, seed, len(runs) + 1, bar).proposal
-        if found is None:
-            found = propose(*known, seed, len(runs) + 1, bar, cover=True).proposal
+        number = len(runs) + 1
+        found = (
+            propose(*known, seed, number, bar).proposal
+            or propose(*known, seed, number, bar, cover=True).proposal
+        )
     record = {
         **heading("loadrig.design/1"),
         "seed": seed,

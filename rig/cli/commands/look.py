@@ -13,6 +13,7 @@ import click
 
 from rig.cli import options as shared
 from rig.common.errors import InputError
+from rig.common.places import is_folder, write_asked
 from rig.common.provenance import heading
 from rig.common.tables import picture, table
 
@@ -39,8 +40,8 @@ NEEDED = {
     help="DBC file of recorded CAN traffic; may be given several times.",
 )
 @click.option("--bus", help="Bus of recorded CAN traffic, by its name in the file.")
-@click.option(
-    "--campaign", type=shared.FILE, help="Write a first campaign file, with a comment on every key."
+@shared.path(
+    "--campaign", "Write a first campaign file, with a comment on every key.", type=shared.FILE
 )
 @shared.result_file
 def look(
@@ -66,43 +67,23 @@ def look(
       rig look log.csv --campaign campaign.yaml
       rig look traffic.blf --dbc drive.dbc
     """
-    from rig.common.places import write_json
-
     read: dict[str, Any] = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal}
     read |= {"dbc": dbc or None, "bus": bus}
     looks = _looks(path, read)
     click.echo("\n\n".join(described(look) for look in looks))
-    if json_file is not None:
-        write_json(json_file, look_record(looks))
+    write_asked(json_file, look_record(looks))
     if campaign is not None:
         _write_campaign(campaign, path, looks, read)
     elif len(looks) == 1 and looks[0].format != "recording":
-        click.echo(f"\nnext: rig look {path} --campaign campaign.yaml{_missing(looks[0])}")
-
-
-def _missing(look: Look) -> str:
-    """Return a text on the columns that the user must state in the campaign file."""
-    lacking = [name for name, any_of in NEEDED.items() if not any_of & look.guesses.keys()]
-    return f", and state the column of {' and '.join(lacking)} in that file" if lacking else ""
-
-
-def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
-    """Return the names of files among the options, relative to the campaign file."""
-
-    def relative(name: str) -> str:
-        return Path(os.path.relpath(name, campaign.parent)).as_posix()
-
-    found: dict[str, Any] = {}
-    if "dbc" in read:
-        names = [relative(name) for name in read["dbc"]]
-        found["dbc"] = names[0] if len(names) == 1 else names
-    return found
+        lacking = [n for n, any_of in NEEDED.items() if not any_of & looks[0].guesses.keys()]
+        state = f", and state the column of {' and '.join(lacking)} in that file"
+        told = state if lacking else ""
+        click.echo(f"\nnext: rig look {path} --campaign campaign.yaml{told}")
 
 
 def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     from pydantic import ValidationError
 
-    from rig.common.places import is_folder
     from rig.config.campaign_sections import ReadSection
     from rig.sources import load_source
     from rig.sources.look import look_at_file, look_at_recording
@@ -154,7 +135,10 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
         stand_in |= {"resistance": 1.0, "back_emf_constant": 1.0}
     answers = ask_all(questions([file]), given | stand_in, None, lambda _: None, {}) | turns
     told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
-    told |= _beside(campaign, told)
+    if "dbc" in told:
+        # The names of files are relative to the campaign file.
+        names = tuple(Path(os.path.relpath(n, campaign.parent)).as_posix() for n in told["dbc"])
+        told["dbc"] = names[0] if len(names) == 1 else list(names)
     try:
         written = write_new(
             campaign, "campaign", campaign_text(campaign, [file], answers, told), load_campaign

@@ -28,9 +28,7 @@ from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 
 _PATH = click.argument("path", type=shared.PATH)
-_YES = click.option(
-    "--yes", is_flag=True, help="Ask no questions: values that no option gives have their defaults."
-)
+_YES = shared.flag("--yes", "Ask no questions: values that no option gives have their defaults.")
 _GRAVITY_M_S2: Final[float] = Constants.model_fields["gravity_m_s2"].default
 _SPEED_SHARE, _GREATEST_SPEED_DEG_S = 0.8, 120.0
 """Default speed limit: a share of the no-load speed at the supply voltage, and at most this."""
@@ -221,7 +219,7 @@ SEQUENCE: Final = (
 
 
 @click.group("new")
-def command() -> None:
+def new() -> None:
     """Write a bench, sequence or campaign file to start from, after a few questions or from
     options.
 
@@ -237,7 +235,7 @@ def command() -> None:
     """
 
 
-@command.command("bench")
+@new.command("bench")
 @_PATH
 @options(BENCH)
 @_YES
@@ -256,7 +254,7 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
     _write(
         path,
         "bench",
-        lambda: BENCH,
+        BENCH,
         lambda answers: fill("bench", _bench_values(_name(path), answers)),
         load_bench,
         given,
@@ -266,7 +264,7 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
     )
 
 
-@command.command("sequence")
+@new.command("sequence")
 @_PATH
 @options(SEQUENCE)
 @click.option(
@@ -293,22 +291,21 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
             make_plan(document, limits)
 
     def text(answers: Answers) -> str:
-        masses = [0.0, *answers["weights"]]
-        names = [f"weight-{mass:g}kg" if mass else "unloaded" for mass in masses]
-        stages = [
-            {"name": f"{name}-{before + 1}" if before else name, "weight_kg": mass}
-            for n, (name, mass) in enumerate(zip(names, masses, strict=True))
-            for before in (names[:n].count(name),)
-        ]
-        return fill(
-            "sequence", {**answers, "name": _name(path), "stages": stages, "ramp_s": _RAMP_S}
-        )
+        names: list[str] = []
+        stages = []
+        for mass in (0.0, *answers["weights"]):
+            name = f"weight-{mass:g}kg" if mass else "unloaded"
+            same = names.count(name)
+            names.append(name)
+            stages.append({"name": f"{name}-{same + 1}" if same else name, "weight_kg": mass})
+        more = {"name": _name(path), "stages": stages, "ramp_s": _RAMP_S}
+        return fill("sequence", {**answers, **more})
 
     following = f"rig run {path} --bench {bench_name or 'BENCH'} --dry-run"
-    _write(path, "sequence", lambda: SEQUENCE, text, load, given, yes, following)
+    _write(path, "sequence", SEQUENCE, text, load, given, yes, following)
 
 
-@command.command("campaign")
+@new.command("campaign")
 @_PATH
 @click.argument("files", nargs=-1, required=True, type=shared.PATH)
 @options(campaigns.questions())
@@ -333,7 +330,7 @@ def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> No
     _write(
         path,
         "campaign",
-        lambda: campaigns.questions(tables),
+        campaigns.questions(tables),
         lambda answers: campaigns.campaign_text(path, tables, answers),
         load_campaign,
         given,
@@ -345,7 +342,7 @@ def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> No
 def _write(
     path: Path,
     kind: str,
-    questions: Callable[[], tuple[Question, ...]],
+    questions: tuple[Question, ...],
     text: Callable[[Answers], str],
     load: Callable[[Path], object],
     given: Mapping[str, Any],
@@ -355,12 +352,11 @@ def _write(
 ) -> None:
     """Ask until the answers give a valid file, write the file, and print the next command."""
     require_new(path, kind)
-    asked = questions()
     answers: Answers = {}
     with closing(Screen()) as screen:
         asker = None if yes else Prompt(screen)
         while True:
-            answers = ask_all(asked, given, asker, screen.say, answers)
+            answers = ask_all(questions, given, asker, screen.say, answers)
             try:
                 written = write_new(path, kind, text(answers), load)
                 break
@@ -448,11 +444,11 @@ def remarks(answers: Answers, given: Mapping[str, Any]) -> list[str]:
 
 @click.command("schema")
 @click.argument("kind", required=False, type=click.Choice(list(KINDS)))
-@click.option(
+@shared.path(
     "--out",
-    metavar="DIR",
+    "Write KIND.schema.json into this folder; without KIND, the schemas of all kinds of file.",
     type=shared.FOLDER,
-    help="Write KIND.schema.json into this folder; without KIND, the schemas of all kinds of file.",
+    metavar="DIR",
 )
 def schema(kind: str | None, out: Path | None) -> None:
     """Write the JSON Schema of bench, sequence, campaign or faults files; editors use the schema to

@@ -11,10 +11,14 @@ import click
 
 from rig.cli import options as shared
 from rig.common.errors import InputError
+from rig.common.places import require_folder
+from rig.common.provenance import Provenance
+from rig.terminal.output import ShareBar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
+    from rig.results.document import Document
     from rig.results.prove.engine import Engine
     from rig.results.prove.truth import Sealed
 
@@ -27,9 +31,7 @@ _STUDY_SHARE = 0.3  # share of the figures' runs in the time of the command with
     "--seeds", type=click.IntRange(min=1), default=20, help="Number of searches per method."
 )
 @shared.seed("First seed; each search has the next seed.")
-@click.option(
-    "--out", type=shared.FOLDER, default=Path("paper"), help="Folder for page and figures."
-)
+@shared.path("--out", "Folder for page and figures.", type=shared.FOLDER, default=Path("paper"))
 @shared.result_file
 def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     """Reproduce the paper's tables and figures, each beside the paper's statement, on one page
@@ -45,47 +47,36 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
       rig paper --seeds 3
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_folder
-    from rig.common.provenance import Provenance
-    from rig.results.document import text, write_page, write_record, write_texts
+    from rig.results.document import shown, write_record, write_texts
+    from rig.results.paper import tables
     from rig.results.paper.figures import data_files
-    from rig.results.paper.tables import (
-        PAGE_FILE,
-        RESULT_FILE,
-        exhibits,
-        paper_document,
-        paper_record,
-        reproduce,
-        study,
-    )
-    from rig.terminal.output import ShareBar
 
     require_folder(out, "--out")
     started = time.perf_counter()
     with ShareBar() as bar:
-        shown = study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
-        found = reproduce(
+        figures = tables.study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
+        found = tables.reproduce(
             range(seed, seed + seeds),
             lambda what, share: bar(what, _STUDY_SHARE + (1.0 - _STUDY_SHARE) * share),
         )
         provenance = Provenance.of(seed, found.dataset.recordings, time.perf_counter() - started)
-        of_tables = exhibits(found)
-        every = [*shown, *of_tables]
-        write_record(paper_record(found, every, provenance), out / RESULT_FILE, json_file)
+        of_tables = tables.exhibits(found)
+        every = [*figures, *of_tables]
+        record = tables.paper_record(found, every, provenance)
+        write_record(record, out / tables.RESULT_FILE, json_file)
         write_texts(data_files(every), out)
-        document = paper_document(found, shown, of_tables, provenance)
-        write_page(document, out / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {out / PAGE_FILE}")
+        document = tables.paper_document(found, figures, of_tables, provenance)
+        report = shown(document, out / tables.PAGE_FILE)
+    click.echo(report)
 
 
 @click.command("prove")
 @click.option("--rigs", type=click.IntRange(min=1), default=600, help="Number of trials.")
-@click.option(
+@shared.path(
     "--seal",
+    "Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
     "home",
     type=shared.FOLDER,
-    help="Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
 )
 @click.option(
     "--from",
@@ -93,11 +84,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="Judge campaigns sealed by someone else: NAME/campaign.yaml and sealed/NAME.yaml.",
 )
-@click.option(
+@shared.path(
     "--out",
+    "Folder of the proof; a proof that was begun in this folder is continued.",
     type=shared.FOLDER,
     default=Path("proof"),
-    help="Folder of the proof; a proof that was begun in this folder is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, help="Processes.")
 @click.option(
@@ -114,12 +105,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     "the extra `dask`).",
 )
 @shared.seed("Seed of draws and diagnosis.")
-@click.option(
+@shared.flag(
     "--investigate",
-    "investigated",
-    is_flag=True,
-    help="Test `rig investigate` on simulated machines, beside Figure 10 repeated for the same "
+    "Test `rig investigate` on simulated machines, beside Figure 10 repeated for the same "
     "time; of 34 machines, 27 have one effect, 4 none, and 3 one outside the catalogue.",
+    "investigated",
 )
 @shared.result_file
 def prove(
@@ -152,7 +142,6 @@ def prove(
       rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_folder
     from rig.results.prove.engine import engine
 
     if home is not None and source is not None:
@@ -178,7 +167,10 @@ def prove(
                 source = out / "trials"
                 _seal(source, rigs, seed, shared_out, repeated=True)
             rows = _judge(source, out, rigs, seed, shared_out)
-        _show(rows, out, seed, started, json_file)
+        from rig.results.prove.document import prove_document
+        from rig.results.prove.score import proof_record
+
+        _report(proof_record, prove_document, rows, out, seed, started, json_file)
     except OSError as error:
         raise InputError(
             f"{error.filename or out}: cannot be written: {error.strerror}; give --out or --seal "
@@ -186,55 +178,44 @@ def prove(
         ) from error
 
 
-def _show(
-    rows: list[dict[str, Any]], out: Path, seed: int, started: float, json_file: Path | None
-) -> None:
-    """Write the result and the report of a proof, and print the result."""
-    from rig.common.provenance import Provenance
-    from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.prove.document import prove_document
-    from rig.results.prove.run import PROOF_FILE
-    from rig.results.prove.score import RESULT_FILE, proof_record
-
-    provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
-    result = proof_record(rows, provenance)
-    write_record(result, out / RESULT_FILE, json_file)
-    document = prove_document(result, provenance)
-    write_page(document, out / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {out / PAGE_FILE}")
-
-
 def _investigate(
     out: Path, rigs: int, seed: int, engine: Engine, started: float, json_file: Path | None
 ) -> None:
     """Draw, seal, investigate and score machines, write the result and the report, and print."""
-    from rig.common.provenance import Provenance
     from rig.investigate.proof import begin, proof_document, proof_record, work
-    from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.prove.run import PROOF_FILE
-    from rig.results.prove.score import RESULT_FILE
-    from rig.terminal.output import ShareBar
 
     proof = begin(out, rigs, seed)
     for sealed in proof.rigs:
         click.echo(f"machine {sealed.name} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
         rows = work(proof, engine, bar)
+    _report(proof_record, proof_document, rows, out, seed, started, json_file)
+
+
+def _report(
+    record: Callable[[list[dict[str, Any]], Provenance], dict[str, Any]],
+    document: Callable[[Mapping[str, Any], Provenance], Document],
+    rows: list[dict[str, Any]],
+    out: Path,
+    seed: int,
+    started: float,
+    json_file: Path | None,
+) -> None:
+    """Write the result and the report of a proof, and print the result."""
+    from rig.results.document import PAGE_FILE, shown, write_record
+    from rig.results.prove.run import PROOF_FILE
+    from rig.results.prove.score import RESULT_FILE
+
     provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
-    result = proof_record(rows, provenance)
+    result = record(rows, provenance)
     write_record(result, out / RESULT_FILE, json_file)
-    document = proof_document(result, provenance)
-    write_page(document, out / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {out / PAGE_FILE}")
+    click.echo(shown(document(result, provenance), out / PAGE_FILE))
 
 
 def _seal(home: Path, rigs: int, seed: int, engine: Engine, repeated: bool = False) -> list[Sealed]:
     """Draw trials and seal them; the salts of a ``repeated`` seal follow from the seed."""
     from rig.results.prove.run import seal_own
     from rig.results.prove.truth import random_salt, repeated_salt
-    from rig.terminal.output import ShareBar
 
     salt = partial(repeated_salt, seed) if repeated else random_salt
     with ShareBar() as bar:
@@ -251,7 +232,6 @@ def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> lis
     from rig.results.prove.judge import judge, oracle_of
     from rig.results.prove.run import begin_from, diagnose_all, score_all
     from rig.results.prove.simulate import floors_of
-    from rig.terminal.output import ShareBar
 
     proof = begin_from(out, rigs, seed, source)
     _tell(proof.rigs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rig.cli import options as shared
+from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
+from rig.common.errors import InputError
+from rig.common.places import read_json, require_folder, usable, write_text
+from rig.common.provenance import Provenance, sha256_file, utc_now, versions
 
 if TYPE_CHECKING:
     from identification.simulation.frequency_response import Gains, Spectra, Wanted
@@ -35,7 +40,7 @@ def _of_a_run(command: Callable[..., int]) -> Callable[..., int]:
             default=1.0,
             help="Factor on the tones, for a joint that would reverse.",
         ),
-        click.option("--realtime", is_flag=True, help="Run the simulated bench in real time."),
+        shared.realtime,
         shared.yes,
         shared.out_folder("Folder for run, result and report. [default: ./BENCH-response]"),
     ):
@@ -45,11 +50,11 @@ def _of_a_run(command: Callable[..., int]) -> Callable[..., int]:
 
 @click.command("response")
 @click.argument("bench")
-@click.option(
+@shared.path(
     "--result",
-    type=shared.FILE,
-    help="Result of `rig identify --json` whose model is drawn beside the measurement, and whose "
+    "Result of `rig identify --json` whose model is drawn beside the measurement, and whose "
     "friction is used to plan the run.",
+    type=shared.FILE,
 )
 @_of_a_run
 def response(
@@ -68,9 +73,8 @@ def response(
       rig response practical --yes --out response
       rig response practical --yes --result runs/demo/identify.json
     """
-    from rig.cli.entry import DONE
     from rig.config.bench import load_bench
-    from rig.results.document import PAGE_FILE, text, write_page, write_record
+    from rig.results.document import PAGE_FILE, shown, write_record
     from rig.results.response.measure import RESULT_FILE, response_document, response_record
 
     bench_file = load_bench(bench)
@@ -79,10 +83,7 @@ def response(
     if found is None:
         return status
     write_record(response_record(found), folder / RESULT_FILE, json_file)
-    document = response_document(found)
-    write_page(document, folder / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {folder / PAGE_FILE}")
+    click.echo(shown(response_document(found), folder / PAGE_FILE))
     return DONE
 
 
@@ -102,8 +103,6 @@ def _measure(
 ) -> tuple[int, Response | None]:
     """Run an excitation by `rig run` and evaluate it; return the exit status of the run."""
     from rig.cli.commands.run import run
-    from rig.cli.entry import DONE
-    from rig.common.places import require_folder, usable, write_text
     from rig.results.response.excitation import excitation
     from rig.results.response.measure import evaluate, loop_place
 
@@ -145,17 +144,15 @@ def _measure(
     help="Least gain margin of each loop.",
 )
 @shared.bandwidth("Crossover of the position loop. [default: the highest with these margins]")
-@click.option(
+@shared.path(
     "--result",
-    type=shared.FILE,
-    help="Result of `rig response`, or of `rig identify` for a bench whose gains are known; then "
+    "Result of `rig response`, or of `rig identify` for a bench whose gains are known; then "
     "nothing is run. [default: a new measurement]",
+    type=shared.FILE,
 )
-@click.option(
+@shared.flag(
     "--write",
-    is_flag=True,
-    help="Try the gains in two steps, and write them into a new bench file if both keep their "
-    "margins.",
+    "Try the gains in two steps, and write them into a new bench file if both keep their margins.",
 )
 @_of_a_run
 def tune(
@@ -185,28 +182,30 @@ def tune(
       rig tune bench.yaml --yes --write
     """
     from identification.simulation.frequency_response import NoResponseError, Wanted
-    from rig.cli.entry import BAD_VERDICT, DONE
-    from rig.common.errors import InputError
-    from rig.common.places import require_folder
     from rig.config.bench import load_bench
-    from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.response.measure import loop_place
-    from rig.results.response.tuning import RESULT_FILE, keys_of, tune_document, tune_record
+    from rig.results.document import PAGE_FILE, shown, write_record
+    from rig.results.response import tuning
+    from rig.results.response.measure import RESPONSE_SCHEMA, loop_place, read_response
 
     bench_file = load_bench(bench)
     place = loop_place(bench_file)
     if write:
-        keys_of(bench_file, place)
+        tuning.keys_of(bench_file, place)
     folder = out or Path(f"{bench_file.path.stem}-tune")
     require_folder(folder, "--out")
-    source = _given(bench_file, place, result)
     measured = None
-    if source is None:
+    if result is None:
         friction = _friction(bench_file, None)
         status, measured = _measure(bench_file, folder, friction, passed)
         if measured is None:
             return status
         source = measured.seen, measured.fitted.gains
+    else:
+        record = read_json(result)
+        if isinstance(record, dict) and record.get("schema") == RESPONSE_SCHEMA:
+            source = read_response(result)
+        else:
+            source = tuning.modelled(bench_file, place, _friction(bench_file, result))
     wanted = Wanted(phase_deg, gain_dB, bandwidth)
     try:
         found = _proposed(bench_file, place, source, wanted, result, folder, passed["seed"])
@@ -214,28 +213,9 @@ def tune(
             found = _tried(bench_file, found, folder, measured, passed)
     except NoResponseError as error:
         raise InputError(f"{bench_file.path}: {error}") from error
-    write_record(tune_record(found), folder / RESULT_FILE, json_file)
-    document = tune_document(found, bench_file)
-    write_page(document, folder / PAGE_FILE)
-    click.echo(text(document))
-    click.echo(f"report: {folder / PAGE_FILE}")
+    write_record(tuning.tune_record(found), folder / tuning.RESULT_FILE, json_file)
+    click.echo(shown(tuning.tune_document(found, bench_file), folder / PAGE_FILE))
     return DONE if found.good else BAD_VERDICT
-
-
-def _given(
-    bench: Document[Bench], place: LoopPlace, result: Path | None
-) -> tuple[Spectra, Gains] | None:
-    """Return spectra and gains of a result file, or None without one."""
-    from rig.common.places import read_json
-    from rig.results.response.measure import RESPONSE_SCHEMA, read_response
-    from rig.results.response.tuning import modelled
-
-    if result is None:
-        return None
-    record = read_json(result)
-    if isinstance(record, dict) and record.get("schema") == RESPONSE_SCHEMA:
-        return read_response(result)
-    return modelled(bench, place, _friction(bench, result))
 
 
 def _proposed(
@@ -248,7 +228,6 @@ def _proposed(
     seed: int,
 ) -> Tuning:
     from identification.simulation.frequency_response import loops, margins, propose
-    from rig.common.provenance import Provenance, sha256_file, utc_now, versions
     from rig.results.response.tuning import Tuning
 
     seen, old = source
@@ -276,14 +255,11 @@ def _tried(
     passed: dict[str, Any],
 ) -> Tuning:
     """Try the proposed gains step by step; keep the new bench file if all steps are good."""
-    import dataclasses
+    from rig.config.configuration import beside
+    from rig.results.response.tuning import RAMP, Written, between, with_gains
 
-    from rig.results.response.tuning import RAMP, Written, between, new_file, with_gains
-
-    path, written = new_file(bench, folder), Written()
+    path, written = beside(bench, folder, "tuned"), Written()
     if path.exists():
-        from rig.common.errors import InputError
-
         raise InputError(f"{path}: exists; move it away, so that no bench file is overwritten")
     try:
         for number, share in enumerate(RAMP, 1):
@@ -316,9 +292,6 @@ def _step(
 ) -> str:
     """Run the bench with other gains; return why they failed, empty if they are good."""
     from identification.simulation.frequency_response import margins, with_gains
-    from rig.cli.entry import BAD_VERDICT, DONE, STOPPED
-    from rig.common.errors import InputError
-    from rig.common.places import write_text
     from rig.config.bench import load_bench
     from rig.results.response.excitation import LARGE
     from rig.results.response.tuning import LOST_DEG, RIPPLE

@@ -50,32 +50,24 @@ from rig.wiring.preflight import require_startable
 
 @click.command("run")
 @click.argument("sequence")
-@click.option("--bench", default="practical", help="Bench file, or the name of a packaged bench.")
-@click.option(
-    "--out", type=shared.PATH, help="Run folder, new or empty. [default: runs/<utc>-<name>]"
-)
+@shared.bench_name
+@shared.path("--out", "Run folder, new or empty. [default: runs/<utc>-<name>]")
 @shared.yes
-@click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
-@click.option(
-    "--dry-run",
-    is_flag=True,
-    help="Print the plan and its predicted torque, without a connection to the bench.",
+@shared.realtime
+@shared.flag(
+    "--dry-run", "Print the plan and its predicted torque, without a connection to the bench."
 )
 @shared.simulated_seed
-@click.option(
-    "--faults",
-    "fault_file",
-    type=shared.PATH,
-    help="Schedule (YAML or CSV) of injected faults on the simulated bench.",
+@shared.path(
+    "--faults", "Schedule (YAML or CSV) of injected faults on the simulated bench.", "fault_file"
 )
 @shared.operator_name
 @shared.identification
-@click.option(
+@shared.path(
     "--feedforward",
-    "feedforward_file",
-    type=shared.PATH,
-    help="Result of `rig identify --json` on this bench; the drive adds the torque of friction "
+    "Result of `rig identify --json` on this bench; the drive adds the torque of friction "
     "and inertia that this result predicts.",
+    "feedforward_file",
 )
 @shared.first_pass
 @shared.reset_fault()
@@ -266,12 +258,6 @@ def resume(
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
-def _left(plan: Plan, inputs: Inputs) -> Plan:
-    """Return the part of a plan that is not finished yet."""
-    first = 0 if inputs.resumed is None else first_unfinished(inputs.resumed) or 0
-    return dataclasses.replace(plan, stages=plan.stages[first:])
-
-
 def _carry_out(
     inputs: Inputs,
     plan: Plan,
@@ -304,7 +290,8 @@ def _carry_out(
             tolerance = bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
             carry_out = execute if injector is None else injector.execute
-            progress = RunProgress(plan.cycle_s, _left(plan, inputs).duration_s, screen)
+            duration_s = (plan if inputs.load is None else inputs.load.plan).duration_s
+            progress = RunProgress(plan.cycle_s, duration_s, screen)
             devices = observed(devices, control, progress)
             folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, json_file, screen)

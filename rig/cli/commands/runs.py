@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -70,7 +70,6 @@ _FILTERS = (
         "--until", type=_Day(last=True), help="Only runs that began on this day or before (UTC)."
     ),
 )
-_NAMES = ("bench", "sequence", "operator", "weight_kg", "verdict", "since", "until")
 
 
 def _filters(command: Any) -> Any:
@@ -86,7 +85,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 
 
 @click.group("runs")
-def command() -> None:
+def runs() -> None:
     """List, show, compare, study and accept recorded runs.
 
     An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
@@ -100,7 +99,7 @@ def command() -> None:
     """
 
 
-@command.command("list")
+@runs.command("list")
 @_folder
 @_filters
 @_last
@@ -126,11 +125,11 @@ def list_(
     entries, wanted = _chosen(folder, given)
     shown = latest(wanted, last)
     hidden = len(entries) - len(shown)
-    _write(json_file, lambda: listing_record(folder, shown))
+    write_asked(json_file, listing_record(folder, shown))
     _show(listing_document(folder, shown, hidden), out)
 
 
-@command.command("show")
+@runs.command("show")
 @click.argument("run", type=shared.PATH)
 @_page
 @shared.result_file
@@ -145,11 +144,11 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
     from rig.results.catalogue.listing import show_document, show_record
 
     entry = _one(run)
-    _write(json_file, lambda: show_record(run, entry))
+    write_asked(json_file, show_record(run, entry))
     _show(show_document(run, entry), out)
 
 
-@command.command("compare")
+@runs.command("compare")
 @click.argument("runs", nargs=-1, required=True, type=shared.PATH)
 @_page
 @shared.result_file
@@ -179,11 +178,11 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
     found = [Compared(run, entry := _one(run), entry.parsed()) for run in runs]
     require_comparable(found)
     found = [replace(each, measured=figures_of(each.run)) for each in found]
-    _write(json_file, lambda: compare_record(found))
+    write_asked(json_file, compare_record(found))
     _show(compare_document(found), out)
 
 
-@command.command("trend")
+@runs.command("trend")
 @_folder
 @_filters
 @_last
@@ -226,11 +225,11 @@ def trend(
             f"{folder}: no identified run that the options choose has a constant {constant}; "
             "`rig runs trend` without --constant shows the constants"
         )
-    _write(json_file, lambda: trend_record(found))
+    write_asked(json_file, trend_record(found))
     _show(trend_document(found), out)
 
 
-@command.command("study")
+@runs.command("study")
 @click.argument("folders", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
 @_filters
 @_last
@@ -283,11 +282,11 @@ def study(
     found = studies(entries, limits, seed)
     if not found:
         raise InputError("no identified run is chosen; `rig identify RUN` identifies a run")
-    _write(json_file, lambda: study_record(found, seed))
+    write_asked(json_file, study_record(found, seed))
     _show(study_document(found), out)
 
 
-@command.command("accept")
+@runs.command("accept")
 @click.argument("run", type=shared.PATH)
 @shared.acceptance("those of the run")
 @shared.junit
@@ -329,8 +328,7 @@ def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[E
         listing = list_runs(folder, lambda done, of: bar("reading run folders", done / of))
     if listing.note:
         click.echo(f"note: {listing.note}", err=True)
-    wanted = Wanted(**{name: given[name] for name in _NAMES})
-    return listing.entries, chosen(folder, listing.entries, wanted)
+    return listing.entries, chosen(folder, listing.entries, Wanted(**given))
 
 
 def _one(run: Path) -> Entry:
@@ -344,23 +342,12 @@ def _one(run: Path) -> Entry:
     return list_runs(run).entries[0]
 
 
-def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> None:
-    """Write the result file if requested."""
-    if json_file is None:
-        return
-
-    write_asked(json_file, made())
-
-
 def _show(document: Document, out: Path | None) -> None:
     """Print a document, and write its page if requested."""
-    from rig.results.document import text
+    from rig.results.document import PAGE_FILE, shown, text
 
-    click.echo(text(document))
     if out is None:
+        click.echo(text(document))
         return
-    from rig.results.document import PAGE_FILE, write_page
-
     require_folder(out, "--out")
-    write_page(document, out / PAGE_FILE)
-    click.echo(f"page: {out / PAGE_FILE}")
+    click.echo(shown(document, out / PAGE_FILE, "page"))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from identification.numerics.arrays import plain
+from identification.numerics.arrays import Progress, plain
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
 from rig.common.places import usable
@@ -24,7 +24,6 @@ from rig.results.acceptance.evidence import (
     DIAGNOSIS_FOLDER,
     Check,
     Evidence,
-    Progress,
     accepted,
     gather,
     judge,
@@ -38,6 +37,7 @@ from rig.results.document import (
     SideBySide,
     Table,
     Verdict,
+    columns,
     filled,
     write_record,
     write_texts,
@@ -46,7 +46,7 @@ from rig.results.run.go_on import CERTIFICATE_PAGE
 from rig.results.run.report import REPORT_FILE, write_verdict
 from rig.runs.catalogue.index import bench_name
 from rig.runs.run_file import seal, seal_run
-from rig.runs.run_record import RUN_FILE, Ending, RunRecord
+from rig.runs.run_record import RUN_FILE, Ending, PartRecord, RunRecord
 
 FRICTION_FIGURE = "figures/stribeck_default.png"
 """Name of the figure that shows the result of an identified run."""
@@ -64,56 +64,107 @@ def make_certificate(
 ) -> Document:
     """Return the certificate of a run: verdict and figure, then a section for each table."""
     record = evidence.record
-    good = accepted(checks)
-    verdict = Verdict(
-        "ACCEPTED" if good else "REJECTED", f"{made}. {RULE}", "good" if good else "open"
-    )
+    verdict = _judged(checks, f"{made}. {RULE}")
     picture = _figure(folder, evidence)
-    limits = Table(
-        ("limit", "found", "verdict"),
-        tuple((c.limit, c.words, "passed" if c.passed else "FAILED") for c in checks),
+    limits = columns(
+        checks,
         (),
+        ("limit", lambda c: c.limit),
+        ("found", lambda c: c.words),
+        ("verdict", lambda c: "passed" if c.passed else "FAILED"),
     )
-    masses = Section("Masses", (_masses(evidence),))
-    constants = _constants(evidence)
-    course = _course(record)
+    masses = columns(
+        record.stages,
+        (1, 2),
+        ("stage", lambda s: s.name),
+        ("planned kg", lambda s: f"{s.weight_kg:g}"),
+        ("confirmed kg", lambda s: number(s.confirmed_kg)),
+        ("weight check", lambda s: evidence.weights.get(s.name, ("-", ""))[0]),
+        ("state", lambda s: s.state),
+    )
+    constants = columns(
+        evidence.constants.items(),
+        (1, 2),
+        ("constant", lambda c: c[0]),
+        ("value", lambda c: number(c[1].value)),
+        ("90 % interval", lambda c: interval(c[1].low, c[1].high)),
+        ("unit", lambda c: c[1].unit),
+    )
+    known = record.parts[-1].devices
+    devices = columns(
+        [(role, known[role]) for role in _ROLES if known.get(role)],
+        (),
+        ("device", lambda d: d[0]),
+        ("name", lambda d: str(d[1]["name"])),
+        ("serial number", lambda d: str(d[1]["serial_number"])),
+        ("revision", lambda d: f"{d[1]['revision']:08X}h"),
+        ("software", lambda d: d[1]["software_version"] or "not given"),
+    )
+    calibrations = columns(
+        record.calibrations,
+        (),
+        ("calibration of", lambda c: str(c["device"])),
+        ("certificate", lambda c: str(c["id"])),
+        ("due", lambda c: str(c["due"])),
+        ("at the run", lambda c: "OVERDUE" if c["overdue"] else "valid"),
+    )
+    none = Note("The bench file names no calibrations.")
+    weighed = Section("Masses", (masses,))
+    sections = [Section("Limits", (limits,))]
+    if len(record.parts) > 1 or record.parts[0].state != Ending.DONE.value:
+        sections.append(Section("Course of the run", (_course(record),)))
+    if constants.rows:
+        found = Section("Constants", (constants,))
+        sections.append(Section("", (SideBySide(found, weighed),)))
+    else:
+        sections.append(weighed)
     return Document(
         f"Certificate of run {record.name}",
         "",
         (Section("", (verdict, *([picture] if picture else ()))),),
         (
-            Section("Limits", (limits,)),
-            *([Section("Course of the run", (course,))] if course else ()),
-            Section("", (SideBySide(constants, masses),)) if constants else masses,
-            Section("Devices", (_devices(record),)),
-            Section("Calibrations", (_calibrations(record),)),
+            *sections,
+            Section("Devices", (devices,)),
+            Section("Calibrations", (calibrations if record.calibrations else none,)),
             Section("Files", (Table(("file", "SHA-256"), tuple(digests.items()), ()),)),
         ),
-        tuple(_facts(folder, bench, record)),
+        (
+            ("bench", f"{bench} ({'SIMULATED' if record.simulated else 'REAL BENCH'})"),
+            ("sequence", record.name),
+            ("begun", f"{_moment(record.created)} UTC"),
+            ("operator", record.operators_words),
+            ("run folder", folder.resolve().name),
+            ("recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"),
+            ("ended", record.state),
+            ("interruptions", _interruptions(record)),
+        ),
     )
 
 
-def _facts(folder: Path, bench: str, record: RunRecord) -> Iterator[tuple[str, str]]:
-    yield "bench", f"{bench} ({'SIMULATED' if record.simulated else 'REAL BENCH'})"
-    yield "sequence", record.name
-    yield "begun", f"{_moment(record.created)} UTC"
-    yield "operator", record.operators_words
-    yield "run folder", folder.resolve().name
-    yield "recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"
-    yield "ended", record.state
-    yield "interruptions", _interruptions(record)
+def _judged(checks: Sequence[Check], statement: str) -> Verdict:
+    if accepted(checks):
+        return Verdict("ACCEPTED", statement, "good")
+    return Verdict("REJECTED", statement, "open")
 
 
-def _moment(stamp: str) -> str:
-    return stamp.replace("T", " ").replace("+00:00", "")
+def _course(record: RunRecord) -> Table:
+    """Return how each recording began and ended; the date of the end only if it is another date."""
 
+    def period(part: PartRecord) -> str:
+        begun = _moment(part.created)
+        if part.ended is None:
+            return f"{begun}, end not recorded"
+        date, _, time = _moment(part.ended).partition(" ")
+        return f"{begun} to {time if begun.startswith(date) else _moment(part.ended)}"
 
-def _period(begun: str, ended: str | None) -> str:
-    """Return start and end of a recording; the date of the end only if it is another date."""
-    if ended is None:
-        return f"{_moment(begun)}, end not recorded"
-    date, _, time = _moment(ended).partition(" ")
-    return f"{_moment(begun)} to {time if begun.startswith(date) else _moment(ended)}"
+    return columns(
+        record.parts,
+        (),
+        ("recording", lambda p: "begun" if p is record.parts[0] else "continued"),
+        ("time, UTC", period),
+        ("operator", lambda p: p.operator or "not given"),
+        ("how it ended", lambda p: p.message or p.state),
+    )
 
 
 def _interruptions(record: RunRecord) -> str:
@@ -122,75 +173,12 @@ def _interruptions(record: RunRecord) -> str:
     if not ends:
         return "none"
     times = len(record.parts) - 1
-    continued = (
-        f"continued {times} {'time' if times == 1 else 'times'}" if times else "not continued"
-    )
-    return f"{len(ends)} ({', '.join(ends)}); {continued}; see Course of the run"
+    words = "not continued" if not times else f"continued {times} time{'s' * (times > 1)}"
+    return f"{len(ends)} ({', '.join(ends)}); {words}; see Course of the run"
 
 
-def _course(record: RunRecord) -> Table | None:
-    """Return how each recording began and ended; None for a run without an interruption."""
-    if len(record.parts) == 1 and record.parts[0].state == Ending.DONE.value:
-        return None
-    rows = tuple(
-        (
-            "continued" if number else "begun",
-            _period(part.created, part.ended),
-            part.operator or "not given",
-            part.message or part.state,
-        )
-        for number, part in enumerate(record.parts)
-    )
-    return Table(("recording", "time, UTC", "operator", "how it ended"), rows, ())
-
-
-def _constants(evidence: Evidence) -> Section | None:
-    rows = tuple(
-        (name, number(each.value), interval(each.low, each.high), each.unit)
-        for name, each in evidence.constants.items()
-    )
-    cells = Table(("constant", "value", "90 % interval", "unit"), rows, (1, 2))
-    return Section("Constants", (cells,)) if rows else None
-
-
-def _masses(evidence: Evidence) -> Table:
-    rows = tuple(
-        (
-            s.name,
-            f"{s.weight_kg:g}",
-            number(s.confirmed_kg),
-            evidence.weights.get(s.name, ("-", ""))[0],
-            s.state,
-        )
-        for s in evidence.record.stages
-    )
-    return Table(("stage", "planned kg", "confirmed kg", "weight check", "state"), rows, (1, 2))
-
-
-def _devices(record: RunRecord) -> Table:
-    known = record.parts[-1].devices
-    rows = tuple(
-        (
-            role,
-            str(known[role]["name"]),
-            str(known[role]["serial_number"]),
-            f"{known[role]['revision']:08X}h",
-            known[role]["software_version"] or "not given",
-        )
-        for role in _ROLES
-        if known.get(role)
-    )
-    return Table(("device", "name", "serial number", "revision", "software"), rows, ())
-
-
-def _calibrations(record: RunRecord) -> Table | Note:
-    if not record.calibrations:
-        return Note("The bench file names no calibrations.")
-    rows = tuple(
-        (str(c["device"]), str(c["id"]), str(c["due"]), "OVERDUE" if c["overdue"] else "valid")
-        for c in record.calibrations
-    )
-    return Table(("calibration of", "certificate", "due", "at the run"), rows, ())
+def _moment(stamp: str) -> str:
+    return stamp.replace("T", " ").replace("+00:00", "")
 
 
 def _figure(folder: Path, evidence: Evidence) -> Picture | None:
@@ -332,17 +320,17 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
 
 def acceptance_document(found: Acceptance) -> Document:
     """Return an acceptance as a document; its page is the certificate."""
-    rows = tuple((c.limit, "passed" if c.passed else "FAILED", c.words) for c in found.checks)
-    failed = sum(not check.passed for check in found.checks)
-    headline = "ACCEPTED" if found.accepted else "REJECTED"
-    statement = (
-        f"{failed} of {len(rows)} checks failed."
-        if failed
-        else f"The run is complete and met all {len(rows) - 1} limits."
+    limits = columns(
+        found.checks,
+        (),
+        ("limit", lambda c: c.limit),
+        ("verdict", lambda c: "passed" if c.passed else "FAILED"),
+        ("found", lambda c: c.words),
     )
-    blocks = (
-        Table(("limit", "verdict", "found"), rows, ()),
-        Verdict(headline, statement, "good" if found.accepted else "open"),
-        Note(f"certificate: {found.folder / CERTIFICATE_PAGE}"),
-    )
-    return Document("Acceptance", "", (Section("", blocks),))
+    count, failed = len(found.checks), sum(not check.passed for check in found.checks)
+    statement = f"The run is complete and met all {count - 1} limits."
+    if failed:
+        statement = f"{failed} of {count} checks failed."
+    verdict = _judged(found.checks, statement)
+    note = Note(f"certificate: {found.folder / CERTIFICATE_PAGE}")
+    return Document("Acceptance", "", (Section("", (limits, verdict, note)),))

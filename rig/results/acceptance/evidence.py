@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from identification.numerics.arrays import Progress
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import is_file
@@ -18,12 +19,10 @@ from rig.common.tables import number
 from rig.config.acceptance import NOTHING_MISSING, WEIGHT_CHECK, Bound, Limit, Range, Required
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.diagnose.diagnose import diagnose_source
-from rig.results.diagnose.document import diagnose_document
-from rig.results.diagnose.exports import exports
-from rig.results.document import PAGE_FILE, write_page, write_record, write_texts
-from rig.results.identify.document import identify_document
-from rig.results.identify.identify import Request, identify_source, outcome_record
-from rig.results.measured import QUANTITIES, clock_words, facts_of
+from rig.results.diagnose.exports import write_diagnosis
+from rig.results.identify.document import write_identification
+from rig.results.identify.identify import Request, identify_source
+from rig.results.measured import clock_words, measured
 from rig.runs.catalogue.entry import Constant
 from rig.runs.catalogue.index import constants_of
 from rig.runs.recorded_inputs import truth_of
@@ -33,7 +32,6 @@ from rig.runs.run_record import Ending, RunRecord
 from rig.runs.run_record import Verdict as WeightVerdict
 from rig.weighing.weight_check import comparable, off_label
 
-Progress = Callable[[str, float], None]
 DIAGNOSIS_FOLDER = "diagnosis"
 
 
@@ -69,13 +67,17 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     problems: list[str] = []
     dataset = _tried(lambda: load_run(folder), problems)
     identified = _current(folder / IDENTIFY_FILE, digests)
-    if not identified and dataset is not None and any(map(_needs_constants, limits)):
-        identified = _tried(lambda: _identify(folder, progress), problems) or {}
+    needed = any(
+        isinstance(limit, Range) or getattr(limit, "measure", "") == "torque error"
+        for limit in limits
+    )
+    if not identified and dataset is not None and needed:
+        identified = _tried(lambda: _identified(folder, progress), problems) or {}
     diagnosed: Mapping[str, Any] = {}
     if any(limit.text == NOTHING_MISSING for limit in limits):
         diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, digests)
         if not diagnosed and dataset is not None:
-            diagnosed = _tried(lambda: _diagnose(folder, progress), problems) or {}
+            diagnosed = _tried(lambda: _diagnosed(folder, progress), problems) or {}
     weighed = any(limit.text == WEIGHT_CHECK for limit in limits)
     fit = identified.get("fit") or {}
     return Evidence(
@@ -88,12 +90,6 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
         str(diagnosed.get("verdict", "")),
         _weights(record, dataset) if weighed else {},
         tuple(dict.fromkeys(problems)),
-    )
-
-
-def _needs_constants(limit: Limit) -> bool:
-    return isinstance(limit, Range) or (
-        isinstance(limit, Bound) and limit.measure == "torque error"
     )
 
 
@@ -116,27 +112,16 @@ def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
     return found if used and used <= set(digests.values()) else {}
 
 
-def _identify(folder: Path, progress: Progress) -> dict[str, Any]:
-    """Identify a run as ``rig identify`` does; returns the record."""
+def _identified(folder: Path, progress: Progress) -> dict[str, Any]:
+    """Identify a run as ``rig identify`` does; return the record."""
     outcome = identify_source(folder, Request(), progress)
-    record = outcome_record(outcome)
-    write_record(record, folder / IDENTIFY_FILE, None)
-    document = identify_document(folder.name, outcome, truth_of(folder), facts_of(folder))
-    write_page(document, folder / PAGE_FILE)
-    return record
+    return write_identification(folder, outcome, truth_of(folder), folder)[0]
 
 
-def _diagnose(folder: Path, progress: Progress) -> dict[str, Any]:
-    """Diagnose a run as ``rig diagnose`` does; returns the record."""
-    inside = folder / DIAGNOSIS_FOLDER
+def _diagnosed(folder: Path, progress: Progress) -> dict[str, Any]:
+    """Diagnose a run as ``rig diagnose`` does; return the record."""
     outcome = diagnose_source(folder, 0, progress=progress, refine=True)
-    record = outcome.record()
-    write_record(record, inside / DIAGNOSIS_FILE, None)
-    beside = exports(folder, outcome, record)
-    write_texts({file.name: file.text for file in beside.files}, inside)
-    document = diagnose_document(folder.name, outcome, beside, facts_of(folder))
-    write_page(document, inside / PAGE_FILE)
-    return record
+    return write_diagnosis(folder, outcome, folder / DIAGNOSIS_FOLDER)[0]
 
 
 def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str, str]]:
@@ -144,16 +129,9 @@ def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str,
     found = {str(w["stage"]): (str(w["verdict"]), str(w["message"])) for w in record.weights}
     if found or dataset is None or not comparable(dataset):
         return found
-    wrong = off_label(dataset)
-    words = "the friction of the stages agrees with their masses"
-    loaded = _loaded(record)
-    return {name: (WeightVerdict.RIGHT.value, words) for name in loaded} | {
-        each.stage: (each.verdict.value, each.message) for each in wrong
-    }
-
-
-def _loaded(record: RunRecord) -> Iterable[str]:
-    return (stage.name for stage in record.stages if stage.stage == "loaded")
+    right = WeightVerdict.RIGHT.value, "the friction of the stages agrees with their masses"
+    wrong = {each.stage: (each.verdict.value, each.message) for each in off_label(dataset)}
+    return {stage.name: right for stage in record.stages if stage.stage == "loaded"} | wrong
 
 
 COMPLETE = "run complete"  # name of the check that every run must pass before its limits are judged
@@ -163,23 +141,16 @@ SAME_LOAD = "same load during the stage"
 
 @dataclass(frozen=True)
 class Check:
-    """One limit, and whether the run met it.
+    """One limit, and whether the run met it."""
 
-    Attributes:
-        limit: The limit as written.
-        passed: Whether the limit is met; a check without a found value is not passed.
-        words: Message on the found value, or a remedy if there is no value.
-        value: Found value, in ``unit``, or None if it is unknown or not a number.
-        low: Lower end of the 90 % interval of the value; None without an interval.
-        high: Upper end of the interval.
-    """
-
-    limit: str
-    passed: bool
-    words: str
-    value: float | None = None
-    low: float | None = None
-    high: float | None = None
+    limit: str  # the limit as written
+    passed: bool  # whether the limit is met; a check without a found value is not passed
+    words: str  # message on the found value, or a remedy if there is no value
+    value: float | None = None  # found value, in `unit`, or None if it is unknown or not a number
+    low: float | None = (
+        None  # lower end of the 90 % interval of the value; None without an interval
+    )
+    high: float | None = None  # upper end of the interval
     unit: str = ""
 
 
@@ -239,33 +210,23 @@ def _range(limit: Range, evidence: Evidence) -> Check:
         return _unknown(limit, evidence, f"{limit.name} was not identified")
     if found.value is None:
         return _unknown(limit, evidence, f"the recordings do not determine {limit.name}")
-    words = f"{number(found.value)} {found.unit}"
-    kept = (limit.text, found.value, found.low, found.high, found.unit)
-
-    def check(passed: bool, more: str) -> Check:
-        text, value, low, high, unit = kept
-        return Check(text, passed, f"{words}{more}", value, low, high, unit)
-
+    words, passed = f"{number(found.value)} {found.unit}", False
     if found.half_width is None or found.low is None or found.high is None:
-        return check(
-            False, ", without an interval, so that it is not known whether the true value is inside"
-        )
-    words += f", 90 % interval {number(found.low)} to {number(found.high)}"
-    if limit.low <= found.low and found.high <= limit.high:
-        return check(True, "")
-    if limit.low <= found.value <= limit.high:
-        return check(
-            False, ": the value is inside the limits, but its interval is not; record more data"
-        )
-    return check(False, ": outside")
+        words += ", without an interval, so that it is not known whether the true value is inside"
+    else:
+        words += f", 90 % interval {number(found.low)} to {number(found.high)}"
+        passed = limit.low <= found.low and found.high <= limit.high
+        if not passed and limit.low <= found.value <= limit.high:
+            words += ": the value is inside the limits, but its interval is not; record more data"
+        elif not passed:
+            words += ": outside"
+    return Check(limit.text, passed, words, found.value, found.low, found.high, found.unit)
 
 
 def _bound(limit: Bound, evidence: Evidence) -> Check:
-    if limit.measure == "torque error":
-        value = evidence.fit_rms
-    else:
-        measured = QUANTITIES[limit.measure]
-        value = measured(evidence.record, evidence.dataset, limit.statistic)
+    value = evidence.fit_rms
+    if limit.measure != "torque error":
+        value = measured(limit.measure, evidence.record, evidence.dataset, limit.statistic)
     if value is None or not math.isfinite(value):
         return _unknown(limit, evidence, f"{limit.measure} was not recorded")
     shown = value / limit.scale

@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.numerics.arrays import plain
 from identification.numerics.spread import LEAST_RUNS, Change, ChangeTest
-from identification.recording import Array, Dataset
+from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.provenance import heading
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, picture
@@ -29,8 +29,18 @@ from rig.results.catalogue.listing import (
     stored_picture,
 )
 from rig.results.catalogue.listing import courses as drawn
-from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table, Verdict
-from rig.results.measured import QUANTITIES, clock_words
+from rig.results.document import (
+    Block,
+    Document,
+    Note,
+    Picture,
+    Section,
+    SideBySide,
+    Table,
+    Verdict,
+    columns,
+)
+from rig.results.measured import clock_words, measured
 from rig.runs.catalogue.entry import Constant, Details, Entry
 from rig.runs.run import load_run
 from rig.runs.run_file import read_record
@@ -70,8 +80,8 @@ class RunFigures:
     """Measured values of one run."""
 
     figures: tuple[Figure, ...] = ()
-    done: str = "-"
-    weights: str = "-"
+    stages_done: str = "-"
+    weight_checks: str = "-"
     problem: str = ""
 
 
@@ -95,38 +105,16 @@ def figures_of(folder: Path) -> RunFigures:
 
 def _figure(record: RunRecord, dataset: Dataset | None, measure: str, statistic: str) -> Figure:
     unit = _UNITS[MEASURES[measure].dimension]
-    value = QUANTITIES[measure](record, dataset, statistic)
+    value = measured(measure, record, dataset, statistic)
     scale = UNITS[MEASURES[measure].dimension][unit]
     remark = clock_words(measure, record).removeprefix(", ")
     name = f"{measure} {statistic}".strip()
     return Figure(name, None if value is None else value / scale, unit, remark)
 
 
-def _figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
-    """Return the measured values side by side, one column for each run."""
-    rows = [
-        ("stages done", "", *(each.done for each in runs)),
-        ("weight checks", "", *(each.weights for each in runs)),
-    ]
-    for found in zip(*(each.figures for each in runs), strict=True):
-        rows.append((found[0].name, found[0].unit, *map(_cell, found)))
-    return Table(("quantity", "unit", *names), tuple(rows), tuple(range(2, 2 + len(names))))
-
-
 def _cell(figure: Figure) -> str:
     shown = number(figure.value, 4)
     return f"{shown} {figure.remark}" if figure.remark and figure.value is not None else shown
-
-
-def figures_record(run: Path, found: RunFigures) -> dict[str, Any]:
-    """Return the measured values of a run as JSON values."""
-    return {
-        "run": str(run),
-        "stages_done": found.done,
-        "weight_checks": found.weights,
-        "problem": found.problem,
-        "figures": plain(found.figures),
-    }
 
 
 COMPARE_SCHEMA = "loadrig.compare/1"
@@ -177,42 +165,60 @@ def require_comparable(runs: Sequence[Compared]) -> None:
 
 def differences(first: Details, other: Details) -> list[Difference]:
     """Return the difference of every parameter of the first run."""
-    return [_difference(name, each, other) for name, each in first.constants.items()]
-
-
-def _difference(name: str, first: Constant, details: Details) -> Difference:
-    other = details.constants.get(name)
-    if other is None or other.unit != first.unit or first.value is None or other.value is None:
-        return Difference(name, first, other, None, None)
-    halves = first.half_width, other.half_width
-    joint = None if halves[0] is None or halves[1] is None else math.hypot(halves[0], halves[1])
-    return Difference(name, first, other, other.value - first.value, joint)
+    found = []
+    for name, one in first.constants.items():
+        another = other.constants.get(name)
+        change = joint = None
+        if another is not None and another.unit == one.unit:
+            if one.value is not None and another.value is not None:
+                change = another.value - one.value
+            if change is not None and one.half_width is not None and another.half_width is not None:
+                joint = math.hypot(one.half_width, another.half_width)
+        found.append(Difference(name, one, another, change, joint))
+    return found
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
     """Return measured values side by side, and constants against the first identified run."""
-    table = _figures_table(_short(runs), [each.measured for each in runs])
-    head = [
+    names, measured = _short(runs), [each.measured for each in runs]
+    rows = [
+        ("stages done", "", *(each.stages_done for each in measured)),
+        ("weight checks", "", *(each.weight_checks for each in measured)),
+        *(
+            (found[0].name, found[0].unit, *map(_cell, found))
+            for found in zip(*(each.figures for each in measured), strict=True)
+        ),
+    ]
+    table = Table(("quantity", "unit", *names), tuple(rows), tuple(range(2, 2 + len(names))))
+    sections = [
         Section("", (_facts(runs),)),
-        Section("Measured values", (table, *_unread(runs), *_not_identified(runs))),
+        Section("Measured values", (table, *_remarks(runs))),
     ]
     identified = [each for each in runs if each.identified]
-    sections = [*head, *_constants(identified)]
+    sections += [_against(identified[0], other) for other in identified[1:]]
+    lead, beside = [], []
+    if len(identified) > 1:
+        constants = [each.details.constants for each in identified]
+        made = side_by_side(
+            list(constants[0]), dict(zip(_short(identified), constants, strict=True))
+        )
+        caption = "Constants of the identified runs, in percent of the first"
+        lead.append(Section("", (Picture.of("constants", caption, made, lead=True),)))
+        first, *others = (Section(str(each.run), _stored(each)) for each in identified)
+        beside.append(Section("Figures", tuple(SideBySide(first, other) for other in others)))
     return Document(
         "Comparison of runs",
         " | ".join(str(each.run) for each in runs),
         tuple(sections),
-        (*_pictures(identified), *sections, *_beside(identified)),
+        (*lead, *sections, *beside),
     )
 
 
-def _unread(runs: Sequence[Compared]) -> Iterator[Note]:
+def _remarks(runs: Sequence[Compared]) -> Iterator[Note]:
+    """Yield which runs lack values, and which are not compared by their constants."""
     for each in runs:
         if each.measured.problem:
             yield Note(f"no values of the excitations: {each.measured.problem}", "warning")
-
-
-def _not_identified(runs: Sequence[Compared]) -> Iterator[Note]:
     bare = [str(each.run) for each in runs if not each.identified]
     for run in bare:
         yield Note(
@@ -223,28 +229,24 @@ def _not_identified(runs: Sequence[Compared]) -> Iterator[Note]:
         yield Note("constants are compared when two or more of the runs are identified")
 
 
-def _constants(identified: Sequence[Compared]) -> Iterator[Section]:
-    for other in identified[1:]:
-        first = identified[0]
-        found = differences(first.details, other.details)
-        title = f"{other.run} against {first.run}"
-        yield Section(title, (_table(found), *_notes(found, first, other)))
-
-
-def _pictures(identified: Sequence[Compared]) -> Iterator[Section]:
-    if len(identified) > 1:
-        constants = [each.details.constants for each in identified]
-        drawn = side_by_side(
-            list(constants[0]), dict(zip(_short(identified), constants, strict=True))
-        )
-        caption = "Constants of the identified runs, in percent of the first"
-        yield Section("", (Picture.of("constants", caption, drawn, lead=True),))
-
-
-def _beside(identified: Sequence[Compared]) -> Iterator[Section]:
-    if len(identified) > 1:
-        first, *others = identified
-        yield Section("Figures", tuple(_figures(first, other) for other in others))
+def _against(first: Compared, other: Compared) -> Section:
+    """Return the constants of a run against those of the first identified run."""
+    found = differences(first.details, other.details)
+    verdicts = {True: CHANGED, False: NO_CHANGE, None: "not known"}
+    table = columns(
+        found,
+        (1, 2, 3, 4, 5, 6),
+        ("constant", lambda d: d.name),
+        ("first", lambda d: number(d.first.value)),
+        ("90 % interval", lambda d: interval(d.first.low, d.first.high)),
+        ("other", lambda d: number(d.other.value if d.other else None)),
+        ("90 % interval", lambda d: interval(d.other.low, d.other.high) if d.other else "-"),
+        ("change", lambda d: number(d.change, 3)),
+        ("uncertainty", lambda d: "-" if d.joint is None else f"+-{number(d.joint, 2)}"),
+        ("unit", lambda d: d.first.unit),
+        ("finding", lambda d: verdicts[d.moved]),
+    )
+    return Section(f"{other.run} against {first.run}", (table, *_notes(found, first, other)))
 
 
 def _short(runs: Sequence[Compared]) -> list[str]:
@@ -266,43 +268,10 @@ def _facts(runs: Sequence[Compared]) -> Table:
     return Table((*names, "torque error", state, verdict), tuple(rows), ())
 
 
-def _table(found: Sequence[Difference]) -> Table:
-    rows = tuple(_row(each) for each in found)
-    header = (
-        "constant",
-        "first",
-        "90 % interval",
-        "other",
-        "90 % interval",
-        "change",
-        "uncertainty",
-        "unit",
-        "finding",
-    )
-    return Table(header, rows, (1, 2, 3, 4, 5, 6))
-
-
-def _row(each: Difference) -> tuple[str, ...]:
-    other = each.other
-    verdicts = {True: CHANGED, False: NO_CHANGE, None: "not known"}
-    return (
-        each.name,
-        number(each.first.value),
-        interval(each.first.low, each.first.high),
-        number(other.value if other else None),
-        interval(other.low, other.high) if other else "-",
-        number(each.change, 3),
-        "-" if each.joint is None else f"+-{number(each.joint, 2)}",
-        each.first.unit,
-        verdicts[each.moved],
-    )
-
-
 def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Iterator[Note]:
     moved = [each.name for each in found if each.moved]
     known = sum(each.moved is not None for each in found)
-    words = f"{CHANGED} by more than their uncertainty: {', '.join(moved) or 'none'}"
-    yield Note(words)
+    yield Note(f"{CHANGED} by more than their uncertainty: {', '.join(moved) or 'none'}")
     yield Note(
         f"without any change, {0.1 * known:.2g} of {known} constants differ by more than their "
         "uncertainty by chance (one in ten)",
@@ -316,11 +285,6 @@ def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Ite
         yield Note("the runs are of different benches", "warning")
     if first.entry.head.digest and first.entry.head.digest == other.entry.head.digest:
         yield Note("the second run is a copy of the first run", "warning")
-
-
-def _figures(first: Compared, other: Compared) -> SideBySide:
-    left, right = (Section(str(each.run), _stored(each)) for each in (first, other))
-    return SideBySide(left, right)
 
 
 def _stored(each: Compared) -> tuple[Block, ...]:
@@ -345,29 +309,25 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
     return {
         **heading(COMPARE_SCHEMA),
         "first": str(first.run),
-        "measured": [figures_record(each.run, each.measured) for each in runs],
+        "measured": [{"run": str(each.run), **plain(each.measured)} for each in runs],
         "not_identified": [str(each.run) for each in runs if not each.identified],
         "compared": [
             {
                 "run": str(other.run),
                 "constants": {
-                    each.name: _difference_record(each)
+                    each.name: {
+                        "unit": each.first.unit,
+                        "first": plain(each.first, "unit", "at_bound"),
+                        "other": plain(each.other, "unit", "at_bound"),
+                        "change": each.change,
+                        "joint": each.joint,
+                        "moved": each.moved,
+                    }
                     for each in differences(first.details, other.details)
                 },
             }
             for other in identified[1:]
         ],
-    }
-
-
-def _difference_record(each: Difference) -> dict[str, Any]:
-    return {
-        "unit": each.first.unit,
-        "first": plain(each.first, "unit", "at_bound"),
-        "other": plain(each.other, "unit", "at_bound"),
-        "change": each.change,
-        "joint": each.joint,
-        "moved": each.moved,
     }
 
 
@@ -393,6 +353,13 @@ class Course:
         """Whether the change is reported."""
         return self.p_value is not None and self.p_value <= FALSE_ALARMS
 
+    @property
+    def at(self) -> int | None:
+        """Index of the first run after a step in the history; None without a step."""
+        if self.change is None or self.change.start is None:
+            return None
+        return self.runs[self.change.start]
+
 
 @dataclass(frozen=True)
 class History:
@@ -413,7 +380,13 @@ def histories(
     """Return the histories of the benches of identified runs; a run and its copies count once."""
     groups, left_out = identified_runs(root, entries)
     made = (
-        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
+        History(
+            *key[:3],
+            tuple(place(root, entry) for entry, _ in runs),
+            tuple(entry.head.created for entry, _ in runs),
+            tuple(courses([details for _, details in runs], seed, only)),
+            tuple(left_out.get(key[:2], ())),
+        )
         for key, runs in groups.items()
     )
     return [each for each in made if each.courses or only is None]
@@ -449,24 +422,6 @@ def identified_runs(
     return groups, left_out
 
 
-def _history(
-    root: Path,
-    key: tuple[str, bool | None, str],
-    runs: Sequence[tuple[Entry, Details]],
-    left_out: tuple[str, ...],
-    seed: int,
-    only: str | None,
-) -> History:
-    details = [each for _, each in runs]
-    return History(
-        *key,
-        tuple(place(root, entry) for entry, _ in runs),
-        tuple(entry.head.created for entry, _ in runs),
-        tuple(courses(details, seed, only)),
-        left_out,
-    )
-
-
 def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) -> Iterator[Course]:
     """Yield the values of every parameter over a history, with a test for a change; the false-alarm
     rate is that of all parameters together.
@@ -479,7 +434,7 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
     """
     found = {name: _determined(name, history) for each in history for name in each.constants}
     tested = sum(len(runs) >= LEAST_RUNS for runs, _ in found.values())
-    known: dict[bytes, ChangeTest] = {}
+    known: dict[bytes, ChangeTest] = {}  # equal errors share one test
     for name, (runs, constants) in found.items():
         if only is not None and name != only:
             continue
@@ -489,20 +444,16 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
         values = np.array([each.value for each in constants], dtype=np.float64)
         halves = np.array([each.half_width for each in constants], dtype=np.float64)
         scale = float(np.median(halves)) / _HALF_WIDTHS
-        found_change = _test(halves / np.median(halves), seed, known)(values / scale)
+        relative = halves / np.median(halves)
+        key = np.round(relative, 6).tobytes()
+        if key not in known:
+            known[key] = ChangeTest(relative, np.random.default_rng(seed))
+        found_change = known[key](values / scale)
         change = dataclasses.replace(
             found_change, size=scale * found_change.size, half_width=scale * found_change.half_width
         )
         p_value = min(1.0, tested * change.p_value)
         yield Course(name, runs, constants, change, p_value, _devices(history, runs, change.start))
-
-
-def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
-    """Return the test for errors relative to their median; equal errors share one test."""
-    key = np.round(relative, 6).tobytes()
-    if key not in known:
-        known[key] = ChangeTest(relative, np.random.default_rng(seed))
-    return known[key]
 
 
 def _determined(
@@ -561,49 +512,31 @@ def trend_document(histories: Sequence[History]) -> Document:
 def _section(history: History, *, pictures: bool) -> Section:
     kind = "simulated" if history.simulated else "REAL"
     title = f"{history.bench} ({kind}), {len(history.runs)} runs, {history.method} method"
-    found = alarms(history)
     figures: tuple[Picture, ...] = ()
     known = [course for course in history.courses if course.constants]
     if pictures and known:
         points = {c.name: dict(zip(c.runs, c.constants, strict=True)) for c in known}
         caption = f"{known[0].name if len(known) == 1 else 'Constants'} of {history.bench}"
         name, lead = f"trend_{history.bench}", len(known) == 1
-        figures = (Picture.of(name, caption, drawn(points, found), lead=lead),)
-    rows = tuple(_trend_row(course) for course in history.courses)
-    header = (
-        "constant",
-        "runs",
-        "first",
-        "last",
-        "course",
-        "change",
-        "uncertainty",
-        "unit",
-        "p",
-        "finding",
-    )
+        figures = (Picture.of(name, caption, drawn(points, alarms(history)), lead=lead),)
     notes = [*_steps(history), *left_out_notes(history.left_out)]
-    verdict = _verdict(history)
-    cells = Table(header, rows, (1, 2, 3, 5, 6, 8))
     alone = history.courses[:1] if pictures and len(history.courses) == 1 else ()
     values = (_values(history, course) for course in alone)
-    return Section(title, (*figures, verdict, cells, *notes, *values))
+    return Section(title, (*figures, _verdict(history), _trend_table(history), *notes, *values))
 
 
 def _values(history: History, course: Course) -> Section:
     """Return the values of one constant, run by run; the numbers are those of its figure."""
-    rows = tuple(
-        (
-            str(index + 1),
-            history.runs[index],
-            history.begun[index][:16].replace("T", " "),
-            number(each.value),
-            interval(each.low, each.high),
-        )
-        for index, each in zip(course.runs, course.constants, strict=True)
+    cells = columns(
+        zip(course.runs, course.constants, strict=True),
+        (0, 3, 4),
+        ("run", lambda v: str(v[0] + 1)),
+        ("folder", lambda v: history.runs[v[0]]),
+        ("begun, UTC", lambda v: history.begun[v[0]][:16].replace("T", " ")),
+        (course.name, lambda v: number(v[1].value)),
+        ("90 % interval", lambda v: interval(v[1].low, v[1].high)),
     )
-    header = ("run", "folder", "begun, UTC", course.name, "90 % interval")
-    return Section(f"{course.name}, run by run", (Table(header, rows, (0, 3, 4)),))
+    return Section(f"{course.name}, run by run", (cells,))
 
 
 def _verdict(history: History) -> Verdict:
@@ -622,44 +555,38 @@ def _verdict(history: History) -> Verdict:
     return Verdict(NO_CHANGE, words, "good")
 
 
-def _trend_row(course: Course) -> tuple[str, ...]:
-    values = [each.value for each in course.constants if each.value is not None]
-    unit = course.constants[0].unit if course.constants else ""
-    change = course.change
-    known = (number(values[0]), number(values[-1])) if values else ("-", "-")
-    return (
-        course.name,
-        str(len(course.runs)),
-        *known,
-        picture(values[-24:]),
-        number(change.size if change else None, 3),
-        f"+-{number(change.half_width, 2)}" if change else "-",
-        unit,
-        "-" if course.p_value is None else f"{course.p_value:.2g}",
-        _word(course),
+def _trend_table(history: History) -> Table:
+    def value(course: Course, at: int) -> str:
+        known = [each.value for each in course.constants if each.value is not None]
+        return number(known[at]) if known else "-"
+
+    def finding(course: Course) -> str:
+        if not course.alarm:
+            return ""
+        return "DRIFT" if course.at is None else f"STEP at run {course.at + 1}"
+
+    return columns(
+        history.courses,
+        (1, 2, 3, 5, 6, 8),
+        ("constant", lambda c: c.name),
+        ("runs", lambda c: str(len(c.runs))),
+        ("first", lambda c: value(c, 0)),
+        ("last", lambda c: value(c, -1)),
+        ("course", lambda c: picture([k.value for k in c.constants if k.value is not None][-24:])),
+        ("change", lambda c: number(c.change.size if c.change else None, 3)),
+        ("uncertainty", lambda c: f"+-{number(c.change.half_width, 2)}" if c.change else "-"),
+        ("unit", lambda c: c.constants[0].unit if c.constants else ""),
+        ("p", lambda c: "-" if c.p_value is None else f"{c.p_value:.2g}"),
+        ("finding", finding),
     )
-
-
-def _word(course: Course) -> str:
-    if not course.alarm or course.change is None:
-        return ""
-    return "DRIFT" if course.change.start is None else f"STEP at run {_step_at(course) + 1}"
-
-
-def _step_at(course: Course) -> int:
-    """Return the index of the first run after a step in the history."""
-    assert course.change is not None
-    assert course.change.start is not None
-    return course.runs[course.change.start]
 
 
 def _steps(history: History) -> Iterator[Note]:
     for course in history.courses:
-        if course.alarm and course.change is not None and course.change.start is not None:
-            run = history.runs[_step_at(course)]
+        if course.alarm and course.at is not None:
             changed = "; ".join(course.with_devices)
             words = f"with another device ({changed})" if changed else "with the same devices"
-            yield Note(f"{course.name}: stepped at {run}, {words}")
+            yield Note(f"{course.name}: stepped at {history.runs[course.at]}, {words}")
 
 
 def left_out_notes(left_out: Sequence[str]) -> Iterator[Note]:
@@ -676,25 +603,25 @@ def trend_record(histories: Sequence[History]) -> dict[str, Any]:
     return {
         **heading(TREND_SCHEMA),
         "false_alarms": FALSE_ALARMS,
-        "histories": [_history_record(each) for each in histories],
-    }
-
-
-def _history_record(history: History) -> dict[str, Any]:
-    return {
-        "bench": history.bench,
-        "simulated": history.simulated,
-        "method": history.method,
-        "runs": [
-            {"run": run, "begun": begun}
-            for run, begun in zip(history.runs, history.begun, strict=True)
+        "histories": [
+            {
+                "bench": history.bench,
+                "simulated": history.simulated,
+                "method": history.method,
+                "runs": [
+                    {"run": run, "begun": begun}
+                    for run, begun in zip(history.runs, history.begun, strict=True)
+                ],
+                "left_out": list(history.left_out),
+                "constants": {each.name: course_record(each) for each in history.courses},
+            }
+            for history in histories
         ],
-        "left_out": list(history.left_out),
-        "constants": {course.name: _course_record(course) for course in history.courses},
     }
 
 
-def _course_record(course: Course) -> dict[str, Any]:
+def course_record(course: Course) -> dict[str, Any]:
+    """Return the values of a parameter over a history as JSON values."""
     change = course.change
     return {
         "unit": course.constants[0].unit if course.constants else "",
@@ -703,7 +630,7 @@ def _course_record(course: Course) -> dict[str, Any]:
             for index, each in zip(course.runs, course.constants, strict=True)
         ],
         "kind": None if change is None else "drift" if change.start is None else "step",
-        "at": None if change is None or change.start is None else _step_at(course),
+        "at": course.at,
         "change": None if change is None else change.size,
         "half_width": None if change is None else change.half_width,
         "p_value": course.p_value,

@@ -15,7 +15,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_file
 from rig.common.provenance import heading
 from rig.common.tables import interval, number
-from rig.results.document import Block, Document, Items, Note, Picture, Section, Table
+from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, columns
 from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
@@ -58,32 +58,32 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
     """Return runs as a table, and the problems of folders that contain no complete run."""
     rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
     listed = Table(COLUMNS, rows, ())
-    notes = [Note(line) for line in _count(entries, hidden)]
+    more = f"; {hidden} more do not match" if hidden else ""
+    count = Note(f"{len(entries)} run{'' if len(entries) == 1 else 's'}{more}")
     problems = [
         Note(f"{place(root, e)}: {text}", "warning")
         for e in entries
         for text in ([e.head.problem] if e.head.problem else e.head.notes)
     ]
-    copies = [Note(line, "aside") for line in _copies(root, entries)]
+    copies = [
+        Note(f"{', '.join(others)}: a copy of {first}", "aside")
+        for each in copies_of(entries).values()
+        for first, *others in [[place(root, entry) for entry in each]]
+    ]
     few = problems[:_MOST_PROBLEMS]
     if len(problems) > len(few):
         few.append(Note(f"{len(problems) - len(few)} more problems; --json lists all", "warning"))
     shown = (listed,) if rows else (Note(f"{root}: no runs"),)
+    all_ = tuple((*problems, *copies))
     return Document(
         f"Runs in {root}",
         "",
-        (Section("", shown), Section("", (*notes, *few, *copies))),
-        (Section("Runs", (listed, *notes)), *_problem_section((*problems, *copies))),
+        (Section("", shown), Section("", (count, *few, *copies))),
+        (
+            Section("Runs", (listed, count)),
+            *([Section("Problems and copies", all_)] if all_ else []),
+        ),
     )
-
-
-def _problem_section(notes: Sequence[Note]) -> list[Section]:
-    return [Section("Problems and copies", tuple(notes))] if notes else []
-
-
-def _count(entries: Sequence[Entry], hidden: int) -> Iterator[str]:
-    more = f"; {hidden} more do not match" if hidden else ""
-    yield f"{len(entries)} run{'' if len(entries) == 1 else 's'}{more}"
 
 
 def copies_of(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
@@ -94,12 +94,6 @@ def copies_of(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
         if counted[entry.head.digest] > 1:
             same.setdefault(entry.head.digest, []).append(entry)
     return same
-
-
-def _copies(root: Path, entries: Sequence[Entry]) -> Iterator[str]:
-    for each in copies_of(entries).values():
-        first, *others = (place(root, entry) for entry in each)
-        yield f"{', '.join(others)}: a copy of {first}"
 
 
 def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
@@ -203,17 +197,38 @@ def show_document(root: Path, entry: Entry) -> Document:
     """Return all known properties of one run as a document."""
     folder = root / entry.folder
     details, record = entry.parsed(), _record(folder)
-    blocks = [
-        Section("", (_facts(root, entry, details),)),
-        *([Section("Stages", (_stages(record),))] if record else []),
-        *_weights(record),
-        *_identified(entry, details),
-        *_remarks(entry, record),
-    ]
-    pages = tuple((str(folder / name), text) for name, text in PAGES if is_file(folder / name))
-    if pages:
+    blocks = [Section("", (_facts(root, entry, details),))]
+    if record is not None:
+        stages = columns(
+            record.stages,
+            (2, 3),
+            ("stage", lambda s: s.name),
+            ("load", lambda s: s.stage),
+            ("planned kg", lambda s: f"{s.weight_kg:g}"),
+            ("confirmed kg", lambda s: number(s.confirmed_kg)),
+            ("role", lambda s: s.role),
+            ("state", lambda s: s.state),
+        )
+        blocks.append(Section("Stages", (stages,)))
+    if record is not None and record.weights:
+        weights = columns(
+            record.weights,
+            (1, 2),
+            ("stage", lambda w: str(w["stage"])),
+            ("confirmed kg", lambda w: number(w["confirmed_kg"])),
+            ("by friction kg", lambda w: number(w["measured_kg"])),
+            ("verdict", lambda w: str(w["verdict"])),
+        )
+        blocks.append(Section("Weight checks", (weights,)))
+    blocks += _identified(entry, details)
+    lines = [entry.head.problem, *entry.head.notes, *(record.warnings if record else ())]
+    if remarks := tuple(Note(line, "warning") for line in lines if line):
+        blocks.append(Section("", remarks))
+    if pages := tuple((str(folder / name), text) for name, text in PAGES if is_file(folder / name)):
         blocks.append(Section("Pages", (Items(pages),)))
-    return Document(f"Run {place(root, entry)}", "", tuple(blocks), (*_figure(folder), *blocks))
+    figure = stored_picture(folder, FIGURE, "Friction against speed, measured and fitted")
+    lead = () if figure is None else (Section("", (figure,)),)
+    return Document(f"Run {place(root, entry)}", "", tuple(blocks), (*lead, *blocks))
 
 
 def _record(folder: Path) -> RunRecord | None:
@@ -221,12 +236,6 @@ def _record(folder: Path) -> RunRecord | None:
         return read_record(folder)
     except InputError:
         return None  # the entry says what the folder is
-
-
-def _figure(folder: Path) -> Iterator[Section]:
-    picture = stored_picture(folder, FIGURE, "Friction against speed, measured and fitted")
-    if picture is not None:
-        yield Section("", (picture,))
 
 
 def stored_picture(folder: Path, name: str, caption: str) -> Picture | None:
@@ -255,50 +264,26 @@ def _facts(root: Path, entry: Entry, details: Details) -> Table:
     return Table(("fact", "value"), tuple(rows), ())
 
 
-def _stages(record: RunRecord) -> Table:
-    rows = tuple(
-        (s.name, s.stage, f"{s.weight_kg:g}", number(s.confirmed_kg), s.role, s.state)
-        for s in record.stages
-    )
-    return Table(("stage", "load", "planned kg", "confirmed kg", "role", "state"), rows, (2, 3))
-
-
-def _weights(record: RunRecord | None) -> Iterator[Section]:
-    if record is not None and record.weights:
-        rows = tuple(
-            (
-                str(w["stage"]),
-                number(w["confirmed_kg"]),
-                number(w["measured_kg"]),
-                str(w["verdict"]),
-            )
-            for w in record.weights
-        )
-        header = ("stage", "confirmed kg", "by friction kg", "verdict")
-        yield Section("Weight checks", (Table(header, rows, (1, 2)),))
-
-
 def _identified(entry: Entry, details: Details) -> Iterator[Section]:
     if not entry.head.identified:
         return
-    rows = tuple((name, *_cells(each)) for name, each in details.constants.items())
-    header = ("constant", "value", "90 % interval", "unit", "note")
-    blocks: list[Block] = [Table(header, rows, (1, 2))]
+    constants = columns(
+        details.constants.items(),
+        (1, 2),
+        ("constant", lambda c: c[0]),
+        ("value", lambda c: number(c[1].value)),
+        ("90 % interval", lambda c: interval(c[1].low, c[1].high)),
+        ("unit", lambda c: c[1].unit),
+        ("note", lambda c: _remark(c[1])),
+    )
+    blocks: list[Block] = [constants]
     if details.fit_rms is not None:
         blocks.append(Note(f"torque error {number(details.fit_rms, 3)} {details.fit_unit} rms"))
     yield Section(f"Constants, {entry.head.identified} method", tuple(blocks))
 
 
-def _cells(each: Constant) -> tuple[str, ...]:
-    note = "not identifiable" if each.value is None else "at a bound" if each.at_bound else ""
-    return number(each.value), interval(each.low, each.high), each.unit, note
-
-
-def _remarks(entry: Entry, record: RunRecord | None) -> Iterator[Section]:
-    lines = [entry.head.problem, *entry.head.notes, *(record.warnings if record else ())]
-    notes = tuple(Note(line, "warning") for line in lines if line)
-    if notes:
-        yield Section("", notes)
+def _remark(each: Constant) -> str:
+    return "not identifiable" if each.value is None else "at a bound" if each.at_bound else ""
 
 
 def show_record(root: Path, entry: Entry) -> dict[str, Any]:

@@ -69,7 +69,15 @@ def studies(
     groups, left_out = identified_runs(Path(), entries)
     made = []
     for key, runs in groups.items():
-        about = tuple(_about(entry) for entry, _ in runs)
+        about = tuple(
+            {
+                "run": entry.folder,
+                "begun": entry.head.created,
+                "day": entry.head.created[:10],
+                "operator": ", ".join(entry.head.operators),
+            }
+            for entry, _ in runs
+        )
         tolerances = {
             limit.name: (limit.low, limit.high)
             for limit in limits_of_run(Path(runs[-1][0].folder))
@@ -83,11 +91,6 @@ def studies(
         }
         made.append(Study(*key[:3], about, constants, tuple(left_out.get(key[:2], ()))))
     return made
-
-
-def _about(entry: Entry) -> dict[str, str]:
-    created, operators = entry.head.created, ", ".join(entry.head.operators)
-    return {"run": entry.folder, "begun": created, "day": created[:10], "operator": operators}
 
 
 def _studied(

@@ -16,14 +16,14 @@ from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.search import Search
-from identification.effects.own import EffectError
 from identification.estimate.default import identify_any_length
+from identification.numerics.arrays import Progress
 from identification.recording import Dataset, RecordingError
-from identification.result import Identification
 from rig.common.errors import InputError
 from rig.common.provenance import Provenance
 from rig.results.diagnose.model_file import diagnosis_record
 from rig.results.diagnose.own_effects import NO_FILE, OwnFile
+from rig.results.measured import named_errors
 from rig.runs.run_file import partial_warnings, without_partial
 from rig.sources import load_source
 
@@ -53,7 +53,7 @@ def diagnose_source(
     source: Path,
     seed: int,
     bandwidth_Hz: float | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     refine: bool = False,
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,
@@ -78,7 +78,7 @@ def diagnose_dataset(
     source: Path,
     seed: int,
     bandwidth_Hz: float | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     refine: bool = False,
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,
@@ -111,7 +111,7 @@ def diagnose_dataset(
     """
     started = time.perf_counter()
     dataset, exact = as_exact(stated)
-    try:
+    with named_errors(source, without_partial(dataset)):
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
             if own.effects:
@@ -129,13 +129,16 @@ def diagnose_dataset(
                 progress=progress,
                 inspect=inspect,
                 searched=searched,
-                estimate=(lambda _exact: identified(stated, seed, progress)) if refine else None,
+                # The result of `rig identify` with this seed.
+                estimate=(
+                    lambda _exact: identify_any_length(
+                        stated, rng=np.random.default_rng(seed), progress=progress
+                    )
+                )
+                if refine
+                else None,
                 effects=own.effects,
             )
-    except RecordingError as error:
-        raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
-    except EffectError as error:
-        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     warnings = (*found.warnings, *partial_warnings(dataset), *exact)
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
@@ -164,14 +167,3 @@ def burning(dataset: Dataset) -> Dataset:
             "no recording is a hot firing with pressure, angle and bench.gas_generator"
         )
     return dataclasses.replace(dataset, recordings=kept)
-
-
-def identified(
-    dataset: Dataset, seed: int, progress: Callable[[str, float], None] | None
-) -> Identification:
-    """Return the result of ``rig identify`` with this seed.
-
-    Raises:
-        RecordingError: The recordings do not determine the model.
-    """
-    return identify_any_length(dataset, rng=np.random.default_rng(seed), progress=progress)

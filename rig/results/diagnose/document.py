@@ -14,23 +14,21 @@ from identification.diagnosis.diagnose import observable_effects
 from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import (
     Diagnosis,
-    Fit,
     IdentifiedEffect,
     Location,
-    ResidualTrace,
 )
 from identification.diagnosis.result import Verdict as Outcomes
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.statement import FACTORS, readable
 from identification.effects import EFFECTS
-from identification.effects.effect import Effect, Quantity
+from identification.effects.effect import Effect
 from identification.effects.model import COORDINATES
-from identification.effects.own import EffectError, OwnEffect
+from identification.effects.own import OwnEffect
 from identification.model.parameters import parameter_title, parameter_unit
 from identification.numerics.arrays import finite
 from identification.plots import mismatch
 from identification.prepare import torque_unit
-from identification.recording import Dataset, RecordingError
+from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import source_name
 from rig.common.provenance import Provenance, heading
@@ -48,10 +46,12 @@ from rig.results.document import (
     Section,
     Table,
     Verdict,
+    columns,
     few_of_each_role,
     provenance_section,
     reading_notes,
 )
+from rig.results.measured import named_errors
 from rig.sources import load_source
 
 if TYPE_CHECKING:
@@ -78,43 +78,52 @@ def _effect_table(outcome: Outcome) -> Table:
     return Table(("effect", "confidence", "parameter", "value (90 % interval)"), tuple(rows), (1,))
 
 
-def _rival_table(found: Diagnosis) -> Table:
-    rows = tuple(
-        (
-            effect.name,
-            rival.name,
-            number(rival.confidence, 2),
-            rival.why_not or "these recordings cannot reject it",
-        )
-        for effect in found.effects
-        for rival in effect.rivals
-    )
-    return Table(("effect", "rival", "confidence", "why not"), rows, (2,))
-
-
 def _fit_table(found: Diagnosis) -> Table:
     """Return the errors of both models, one row per equation and role."""
-    fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
-    rows = tuple(row for fit in fits for row in _fit_rows(fit))
-    rms = ("rms before", "rms after", "noise floor")
-    return Table(("equation", "recordings", *rms, "unit", "bandwidth"), rows, (2, 3, 4, 6))
+    rows = []
+    for fit in found.fits if found.fit in found.fits else (found.fit, *found.fits):
+        factor, unit = (_DEG, "deg") if fit.unit == "rad" else (1.0, fit.unit)
+        pairs = [("fitted", fit.baseline_rms, fit.final_rms)]
+        if fit.validate_baseline_rms is not None and fit.validate_final_rms is not None:
+            pairs.append(("set aside", fit.validate_baseline_rms, fit.validate_final_rms))
+        for role, *rms in pairs:
+            numbers = (number(factor * each, 3) for each in (*rms, fit.noise_floor_rms))
+            hertz = f"{number(fit.bandwidth_Hz, 3)} Hz"
+            rows.append((fit.equation, role, *numbers, unit, hertz))
+    rms_header = ("rms before", "rms after", "noise floor")
+    header = ("equation", "recordings", *rms_header, "unit", "bandwidth")
+    return Table(header, tuple(rows), (2, 3, 4, 6))
+
+
+def _rival_table(found: Diagnosis) -> Table:
+    return columns(
+        [(effect, rival) for effect in found.effects for rival in effect.rivals],
+        (2,),
+        ("effect", lambda pair: pair[0].name),
+        ("rival", lambda pair: pair[1].name),
+        ("confidence", lambda pair: number(pair[1].confidence, 2)),
+        ("why not", lambda pair: pair[1].why_not or "these recordings cannot reject it"),
+    )
 
 
 def _shift_table(found: Diagnosis) -> Table:
     """Return the nominal parameters in both models; no rows if none changed."""
-    if all(s.before == s.after for s in found.parameter_shift.values()):
-        return Table((), (), ())
-    rows = tuple(
-        (
-            name,
-            number(s.before),
-            number(s.after),
-            _change(s.before, s.after),
-            "" if s.unit == "1" else s.unit,
-        )
-        for name, s in found.parameter_shift.items()
+
+    def change(before: float | None, after: float | None) -> str:
+        if before is None or after is None or before == 0.0:
+            return "-"
+        return f"{100.0 * (after / before - 1.0):+.2f} %"
+
+    moved = any(s.before != s.after for s in found.parameter_shift.values())
+    return columns(
+        found.parameter_shift.items() if moved else (),
+        (1, 2, 3),
+        ("parameter", lambda s: s[0]),
+        ("before", lambda s: number(s[1].before)),
+        ("after", lambda s: number(s[1].after)),
+        ("change", lambda s: change(s[1].before, s[1].after)),
+        ("unit", lambda s: "" if s[1].unit == "1" else s[1].unit),
     )
-    return Table(("parameter", "before", "after", "change", "unit"), rows, (1, 2, 3))
 
 
 def _where_table(found: Diagnosis) -> Table:
@@ -122,70 +131,27 @@ def _where_table(found: Diagnosis) -> Table:
     places = [(e.name, e.where) for e in found.effects]
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]
-    rows = tuple(
-        (
-            name,
-            where.coordinate,
-            _ranges(where),
-            percent(100.0 * where.share_of_mismatch),
-            _names(where.recordings),
-        )
-        for name, where in places
+    return columns(
+        places,
+        (3,),
+        ("what", lambda p: p[0]),
+        ("against", lambda p: p[1].coordinate),
+        ("where", lambda p: _ranges(p[1])),
+        ("share of the mismatch", lambda p: percent(100.0 * p[1].share_of_mismatch)),
+        ("recordings", lambda p: _names(p[1].recordings)),
     )
-    return Table(("what", "against", "where", "share of the mismatch", "recordings"), rows, (3,))
-
-
-def _step_table(found: Diagnosis) -> Table:
-    rows = tuple(
-        (
-            str(k),
-            s.action,
-            s.name,
-            "-" if s.p_value is None else f"{s.p_value:.2g}",
-            number(s.gain, 3),
-            s.note,
-        )
-        for k, s in enumerate(found.steps, 1)
-    )
-    return Table(("step", "what was done", "with", "p", "gain", "note"), rows, (0, 3, 4))
-
-
-def _fit_rows(fit: Fit) -> list[tuple[str, ...]]:
-    factor, unit = (_DEG, "deg") if fit.unit == "rad" else (1.0, fit.unit)
-    pairs = [("fitted", fit.baseline_rms, fit.final_rms)]
-    if fit.validate_baseline_rms is not None and fit.validate_final_rms is not None:
-        pairs.append(("set aside", fit.validate_baseline_rms, fit.validate_final_rms))
-    return [
-        (
-            fit.equation,
-            role,
-            *(number(factor * rms, 3) for rms in (before, after, fit.noise_floor_rms)),
-            unit,
-            f"{number(fit.bandwidth_Hz, 3)} Hz",
-        )
-        for role, before, after in pairs
-    ]
-
-
-def _change(before: float | None, after: float | None) -> str:
-    if before is None or after is None or before == 0.0:
-        return "-"
-    return f"{100.0 * (after / before - 1.0):+.2f} %"
 
 
 def _ranges(where: Location) -> str:
-    if not where.ranges:
-        return "-"
     shown, factor = ("deg", _DEG) if where.unit == "rad" else (where.unit, 1.0)
     unit = "" if shown in ("", "1") else f" {shown}"
-    return (
-        ", ".join(f"{low * factor:.3g} to {high * factor:.3g}" for low, high in where.ranges) + unit
-    )
+    ends = ", ".join(f"{low * factor:.3g} to {high * factor:.3g}" for low, high in where.ranges)
+    return ends + unit if ends else "-"
 
 
-def _names(recordings: tuple[str, ...], shown: int = 4) -> str:
-    rest = len(recordings) - shown
-    return ", ".join(recordings[:shown]) + (f" and {rest} more" if rest > 0 else "")
+def _names(recordings: tuple[str, ...]) -> str:
+    rest = len(recordings) - _SHOWN_NAMES
+    return ", ".join(recordings[:_SHOWN_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 _VERDICTS: dict[Outcomes, tuple[str, str, Literal["good", "found", "open"]]] = {
@@ -203,7 +169,7 @@ _VERDICTS: dict[Outcomes, tuple[str, str, Literal["good", "found", "open"]]] = {
     ),
 }
 """Verdict to its word in the terminal, and to headline and tone of the page."""
-_SHOWN_PER_ROLE = 4
+_SHOWN_PER_ROLE = _SHOWN_NAMES = 4
 
 
 def diagnose_document(
@@ -243,23 +209,43 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     found = outcome.diagnosis
     _, headline, tone = _VERDICTS[found.verdict]
-    verdict = Verdict(headline, found.statement, tone)
-    yield Section("", (verdict, *_errors(found), *_warnings(found)))
+    head: list[Block] = [Verdict(headline, found.statement, tone)]
+    if any(fit.noise_floor_rms > 0.0 for fit in found.fits):
+        caption = (
+            "Error of each equation over its noise floor, before and after the correction; fitted "
+            "recordings, and recordings that were set aside"
+        )
+        head.append(Picture.of("errors", caption, mismatch.errors(found.fits), lead=True))
+    yield Section("", (*head, *_warnings(found)))
     if found.effects:
-        effects = (_effect(effect, found) for effect in found.effects)
+        effects = (Section(e.name, tuple(_texts(e, found))) for e in found.effects)
         yield Section("Identified effects", (_effect_table(outcome), *effects))
     yield Section("Error before and after", (_fit_table(found),))
-    yield Section(
-        "Location of the mismatch", (*_if_any(_where_table(found)), *_curve(found), *_maps(found))
-    )
-    if rivals := _if_any(_rival_table(found)):
-        yield Section("Rivals", (*rivals, *_rivals(found)))
-    if shifts := _if_any(_shift_table(found)):
+    yield Section("Location of the mismatch", tuple(_located(found)))
+    if (rivals := _rival_table(found)).rows:
+        caption = "and the effects that were considered instead"
+        pictures = (
+            Picture.of(f"rivals_{e.name}", f"{e.name} {caption}", mismatch.rivals(e))
+            for e in found.effects
+            if e.rivals
+        )
+        yield Section("Rivals", (rivals, *pictures))
+    if (shifts := _shift_table(found)).rows:
         note = Note("Nominal parameters fitted without and with the correction.", "aside")
-        yield Section("Change of the nominal parameters", (note, *shifts))
-    if steps := _if_any(_step_table(found)):
-        yield Section("Steps of the search", steps)
-    yield Section("Recordings", tuple(_recordings(found)))
+        yield Section("Change of the nominal parameters", (note, shifts))
+    steps = columns(
+        enumerate(found.steps, 1),
+        (0, 3, 4),
+        ("step", lambda s: str(s[0])),
+        ("what was done", lambda s: s[1].action),
+        ("with", lambda s: s[1].name),
+        ("p", lambda s: "-" if s[1].p_value is None else f"{s[1].p_value:.2g}"),
+        ("gain", lambda s: number(s[1].gain, 3)),
+        ("note", lambda s: s[1].note),
+    )
+    if steps.rows:
+        yield Section("Steps of the search", (steps,))
+    yield Section("Recordings", tuple(_traces(found)))
     if exports.files:
         files = tuple((file.name, file.use) for file in exports.files)
         yield Section("Beside this page", (Items(files),))
@@ -268,89 +254,55 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     yield provenance_section(outcome.provenance)
 
 
-def _if_any(cells: Table) -> tuple[Table, ...]:
-    """Return a tuple with the table, or an empty tuple if the table has no rows."""
-    return (cells,) if cells.rows else ()
+def _texts(effect: IdentifiedEffect, found: Diagnosis) -> Iterator[Paragraph]:
+    """Yield the text on one effect that accompanies the table."""
+    others = [name for name in effect.alias_group if name != effect.name]
+    if effect.statement not in found.statement:
+        yield Paragraph(effect.statement)
+    if others:
+        words = f"These recordings cannot distinguish {effect.name} from {', '.join(others)}."
+        yield Paragraph(words)
+    if effect.separating_experiment:
+        lead = "To distinguish them:" if others else "To confirm it:"
+        yield Paragraph(effect.separating_experiment, lead)
 
 
 def _warnings(found: Diagnosis) -> list[Note]:
     return [Note(line, "warning") for line in found.warnings]
 
 
-def _effect(effect: IdentifiedEffect, found: Diagnosis) -> Section:
-    """Return the text on one effect that accompanies the table."""
-    blocks: list[Block] = []
-    others = [name for name in effect.alias_group if name != effect.name]
-    if effect.statement not in found.statement:
-        blocks.append(Paragraph(effect.statement))
-    if others:
-        words = f"These recordings cannot distinguish {effect.name} from {', '.join(others)}."
-        blocks.append(Paragraph(words))
-    if effect.separating_experiment:
-        lead = "To distinguish them:" if others else "To confirm it:"
-        blocks.append(Paragraph(effect.separating_experiment, lead))
-    return Section(effect.name, tuple(blocks))
-
-
-def _recordings(found: Diagnosis) -> Iterator[Note | Picture]:
-    mismatched = [t for t in found.traces if t.equation == found.fit.equation]
-    order = ("validate", "fit")
-    shown = few_of_each_role(mismatched, lambda t: t.role, _SHOWN_PER_ROLE, order)
-    if hidden := len(mismatched) - len(shown):
-        yield Note(f"Figures of {hidden} more recordings are left out.", "aside")
-    for trace in shown:
-        yield _trace(trace, found)
-
-
-def _errors(found: Diagnosis) -> list[Picture]:
-    if not any(fit.noise_floor_rms > 0.0 for fit in found.fits):
-        return []
-    caption = (
-        "Error of each equation over its noise floor, before and after the correction; fitted "
-        "recordings, and recordings that were set aside"
-    )
-    return [Picture.of("errors", caption, mismatch.errors(found.fits), lead=True)]
-
-
-def _maps(found: Diagnosis) -> list[Picture]:
-    drawn = []
+def _located(found: Diagnosis) -> Iterator[Table | Picture]:
+    """Yield the table of places, the curve of the missing physics, and the maps of the mismatch."""
+    if (places := _where_table(found)).rows:
+        yield places
+    if found.curve is not None:
+        caption = f"The missing physics as a smooth curve over {found.curve.coordinate}"
+        if found.curve.coordinate in COORDINATES:
+            caption += "; a simulation can use this curve"
+        yield Picture.of("missing", caption, mismatch.curve(found.curve))
     for equation in dict.fromkeys(m.equation for m in found.maps):
         caption = (
             f"Mismatch of the {equation} equation against each coordinate, largest share first, "
             "with simultaneous 90 % bands, before and after the correction"
         )
         mine = [m for m in found.maps if m.equation == equation]
-        drawn.append(Picture.of(f"maps_{equation}", caption, mismatch.maps(mine)))
-    return drawn
+        yield Picture.of(f"maps_{equation}", caption, mismatch.maps(mine))
 
 
-def _rivals(found: Diagnosis) -> list[Picture]:
-    caption = "and the effects that were considered instead"
-    return [
-        Picture.of(f"rivals_{e.name}", f"{e.name} {caption}", mismatch.rivals(e))
-        for e in found.effects
-        if e.rivals
-    ]
-
-
-def _curve(found: Diagnosis) -> list[Picture]:
-    if found.curve is None:
-        return []
-    caption = f"The missing physics as a smooth curve over {found.curve.coordinate}"
-    if found.curve.coordinate in COORDINATES:
-        caption += "; a simulation can use this curve"
-    return [Picture.of("missing", caption, mismatch.curve(found.curve))]
-
-
-def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
-    fits: dict[str, Fit] = {fit.equation: fit for fit in (*found.fits, found.fit)}
-    fit = fits.get(trace.equation)
-    role = "set aside" if trace.role == "validate" else "fitted"
-    return Picture.of(
-        f"mismatch_{trace.equation}_{trace.recording}",
-        f"{trace.recording} ({role}): mismatch of the {trace.equation} equation before and after",
-        mismatch.trace(trace, None if fit is None else fit.noise_floor_rms),
-    )
+def _traces(found: Diagnosis) -> Iterator[Note | Picture]:
+    mismatched = [t for t in found.traces if t.equation == found.fit.equation]
+    order = ("validate", "fit")
+    shown = few_of_each_role(mismatched, lambda t: t.role, _SHOWN_PER_ROLE, order)
+    if hidden := len(mismatched) - len(shown):
+        yield Note(f"Figures of {hidden} more recordings are left out.", "aside")
+    for t in shown:
+        role = "set aside" if t.role == "validate" else "fitted"
+        words = f"mismatch of the {t.equation} equation before and after"
+        yield Picture.of(
+            f"mismatch_{t.equation}_{t.recording}",
+            f"{t.recording} ({role}): {words}",
+            mismatch.trace(t, found.fit.noise_floor_rms),
+        )
 
 
 OBSERVABLE_SCHEMA = "loadrig.observable/1"
@@ -407,12 +359,8 @@ def observe_source(
     """
     started = time.perf_counter()
     dataset = load_source(source)
-    try:
+    with named_errors(source):
         effects = observable_effects(dataset, bandwidth_Hz, own.effects)
-    except RecordingError as error:
-        raise InputError(f"{source}: {error}") from error
-    except EffectError as error:
-        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Seen(dataset, effects, provenance, own)
@@ -420,13 +368,32 @@ def observe_source(
 
 def observable_document(source: Path, seen: Seen) -> Document:
     """Return the effects that recordings can show as a document."""
+
+    def least(effect: Observable) -> str:
+        name, value = next(iter(effect.sizes.items()))
+        return f"{name} {value:.3g} {seen.unit(effect.name, name)}".rstrip()
+
     shown = [e for e in seen.effects if e.sizes]
     alike = [e for e in shown if e.alike]
     text = (
         f"These recordings can show {len(shown)} of {len(seen.effects)} effects; "
         f"{len(alike)} of these effects cannot be distinguished from others."
     )
-    blocks: list[Block] = [Paragraph(text), _table(seen, shown)]
+    sizes = columns(
+        shown,
+        (1, 2),
+        ("effect", lambda e: e.name),
+        ("least size shown", least),
+        (
+            "beyond the nominal model",
+            lambda e: f"{100.0 * e.left:{'.0f' if e.left >= HIDDEN else '.2g'}} %",
+        ),
+        (
+            f"explained to {100.0 * RULES.alike:.0f} % by",
+            lambda e: ", ".join(f"{name} {100.0 * s:.0f} %" for name, s in e.alike.items()),
+        ),
+    )
+    blocks: list[Block] = [Paragraph(text), sizes]
     hidden = [e.name for e in seen.effects if not e.sizes]
     if hidden:
         blocks.append(Paragraph(", ".join(hidden) + ".", "Not shown by these recordings."))
@@ -437,24 +404,6 @@ def observable_document(source: Path, seen: Seen) -> Document:
     return Document(f"Observable effects of {source_name(source)}", text, tuple(sections))
 
 
-def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
-    def least(effect: Observable) -> str:
-        name, value = next(iter(effect.sizes.items()))
-        return f"{name} {value:.3g} {seen.unit(effect.name, name)}".rstrip()
-
-    rows = tuple(
-        (
-            e.name,
-            least(e),
-            f"{100.0 * e.left:.0f} %" if e.left >= HIDDEN else f"{100.0 * e.left:.2g} %",
-            ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in e.alike.items()),
-        )
-        for e in shown
-    )
-    by = f"explained to {100.0 * RULES.alike:.0f} % by"
-    return Table(("effect", "least size shown", "beyond the nominal model", by), rows, (1, 2))
-
-
 CHECK_SCHEMA = "loadrig.effects_check/1"
 COPY = 0.99
 """Share of an effect that another effect explains, from which neither is identified for sure."""
@@ -462,17 +411,11 @@ COPY = 0.99
 
 @dataclass(frozen=True)
 class Check:
-    """What a check found of one effect of one's own.
-
-    Attributes:
-        entry: The effect.
-        problems: What is wrong with the effect.
-        seen: What the recordings can show of the effect; None without recordings.
-    """
+    """What a check found of one effect of one's own."""
 
     entry: Effect
-    problems: tuple[str, ...]
-    seen: Observable | None
+    problems: tuple[str, ...]  # what is wrong with the effect
+    seen: Observable | None  # what recordings can show of the effect; None without recordings
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the effect in the record of ``rig effects --check --json``."""
@@ -561,62 +504,61 @@ def entry_of(name: str) -> Effect:
 
 def overview(entries: Iterable[Effect]) -> str:
     """Return one line for each effect: its location and its fitted parameters."""
-    rows = [
-        (
-            e.group,
-            e.name,
-            e.shows_in,
-            e.coordinate.partition(":")[0],
-            ", ".join(q.name for q in e.parameters),
-        )
-        for e in entries
-    ]
-    return table(("group", "effect", "equation", "against", "parameters"), rows)
+    listed = columns(
+        entries,
+        (),
+        ("group", lambda e: e.group),
+        ("effect", lambda e: e.name),
+        ("equation", lambda e: e.shows_in),
+        ("against", lambda e: e.coordinate.partition(":")[0]),
+        ("parameters", lambda e: ", ".join(q.name for q in e.parameters)),
+    )
+    return table(listed.header, listed.rows)
 
 
 def whole(entry: Effect) -> str:
     """Return the whole catalogue entry of one effect."""
+    sizes = [
+        f"{q.name}: plausible from {q.low:.4g} to {q.high:.4g} {q.unit}".rstrip()
+        for q in entry.parameters
+    ]
     lines = [
         ("effect", f"{entry.name} ({entry.group})"),
         ("equation", entry.equation),
         ("breaks", entry.assumption),
         ("shows in", f"the {entry.shows_in} equation, against {entry.coordinate}"),
-        *(("parameter" if k == 0 else "", _quantity(q)) for k, q in enumerate(entry.parameters)),
+        *zip(("parameter", *[""] * len(entry.parameters)), sizes, strict=False),
         ("look-alikes", ", ".join(entry.look_alikes)),
         ("distinguished by", entry.experiment),
         ("finding", entry.sentence),
     ]
-    return "\n".join(_wrapped(label, text) for label, text in lines)
+    return "\n".join(
+        textwrap.fill(
+            text, _WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=" " * _LABEL
+        )
+        for label, text in lines
+    )
 
 
 def effects_record(entries: Iterable[Effect]) -> dict[str, Any]:
     """Return the record of ``rig effects --json``."""
-    return {**heading(EFFECTS_SCHEMA), "effects": [_entry_record(e) for e in entries]}
-
-
-def _entry_record(entry: Effect) -> dict[str, Any]:
     return {
-        "name": entry.name,
-        "group": entry.group,
-        "equation": entry.equation,
-        "assumption_broken": entry.assumption,
-        "shows_in": entry.shows_in,
-        "coordinate": entry.coordinate,
-        "parameters": {
-            q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in entry.parameters
-        },
-        "look_alikes": list(entry.look_alikes),
-        "separating_experiment": entry.experiment,
-        "statement": entry.sentence,
+        **heading(EFFECTS_SCHEMA),
+        "effects": [
+            {
+                "name": entry.name,
+                "group": entry.group,
+                "equation": entry.equation,
+                "assumption_broken": entry.assumption,
+                "shows_in": entry.shows_in,
+                "coordinate": entry.coordinate,
+                "parameters": {
+                    q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in entry.parameters
+                },
+                "look_alikes": list(entry.look_alikes),
+                "separating_experiment": entry.experiment,
+                "statement": entry.sentence,
+            }
+            for entry in entries
+        ],
     }
-
-
-def _quantity(q: Quantity) -> str:
-    unit = f" {q.unit}" if q.unit else ""
-    return f"{q.name}: plausible from {q.low:.4g} to {q.high:.4g}{unit}"
-
-
-def _wrapped(label: str, text: str) -> str:
-    return textwrap.fill(
-        text, _WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=" " * _LABEL
-    )

@@ -17,9 +17,12 @@ from identification.recording import Bench as Constants
 from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.common.places import source_name
-from rig.results.diagnose.diagnose import Outcome
+from rig.results.diagnose.diagnose import RESULT_FILE, Outcome
+from rig.results.diagnose.document import diagnose_document
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.results.diagnose.model_file import model_of
+from rig.results.document import PAGE_FILE, Document, write_page, write_record, write_texts
+from rig.results.measured import facts_of
 
 YAML_FILE, PYTHON_FILE = "model.yaml", "model.py"
 
@@ -83,6 +86,21 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
     if outcome.diagnosis.verdict is Verdict.AMBIGUOUS:
         notes.append("`rig design` proposes the experiment that distinguishes this group")
     return Exports(tuple(files), tuple(notes))
+
+
+def write_diagnosis(
+    source: Path, outcome: Outcome, folder: Path, json_file: Path | None = None
+) -> tuple[dict[str, Any], Document, Exports]:
+    """Write result file, corrected model and page of a diagnosis into a folder; return the record,
+    the document, and the files beside it.
+    """
+    record = outcome.record()
+    write_record(record, folder / RESULT_FILE, json_file)
+    beside = exports(source, outcome, record)
+    write_texts({file.name: file.text for file in beside.files}, folder)
+    document = diagnose_document(source_name(source), outcome, beside, facts_of(source))
+    write_page(document, folder / PAGE_FILE)
+    return record, document, beside
 
 
 def _models(

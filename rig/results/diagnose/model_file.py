@@ -188,19 +188,15 @@ def _effect(
 def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
     if entry is None or entry["coordinate"] not in COORDINATES:
         return None
+    equation, coordinate, unit, residual_unit = (
+        str(entry[key]) for key in ("equation", "coordinate", "unit", "residual_unit")
+    )
     grid, value = (
         np.array([_finite(place, f"curve.{key}", v) for v in entry[key]], dtype=float)
         for key in ("grid", "value")
     )
-    return Curve(
-        entry["equation"],
-        entry["coordinate"],
-        entry["unit"],
-        entry["residual_unit"],
-        grid,
-        value,
-        entry.get("against_motion", False) is True,
-    )
+    against = entry.get("against_motion", False) is True
+    return Curve(equation, coordinate, unit, residual_unit, grid, value, against)
 
 
 def _finite(place: str, name: str, value: object) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
@@ -23,7 +23,7 @@ from identification.estimate.fleet import (
     Value,
     fleet,
 )
-from identification.numerics.arrays import plain
+from identification.numerics.arrays import Progress, plain
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
@@ -32,7 +32,15 @@ from rig.common.provenance import RESULT_FILE, Provenance
 from rig.common.tables import interval, number
 from rig.common.timing import instant
 from rig.config.campaign import Campaign, load_campaign
-from rig.results.document import Document, Note, Section, Table, Verdict, provenance_section
+from rig.results.document import (
+    Document,
+    Note,
+    Section,
+    Table,
+    Verdict,
+    columns,
+    provenance_section,
+)
 from rig.results.identify.identify import Outcome, Request, outcome_record
 from rig.sources import load_source
 
@@ -65,9 +73,7 @@ def campaign_of_units(source: Path) -> Campaign | None:
     return campaign if len({r.unit for r in campaign.recordings}) > 1 else None
 
 
-def identify_fleet(
-    source: Path, campaign: Campaign, request: Request, progress: Callable[[str, float], None]
-) -> Found:
+def identify_fleet(source: Path, campaign: Campaign, request: Request, progress: Progress) -> Found:
     """Identify each unit of a campaign, and compare the units.
 
     Raises:
@@ -85,17 +91,15 @@ def identify_fleet(
 
     def label(session: Sequence[Recording]) -> str:
         start = session[0].span[0]
-        return (
-            f"{min(stamps) + timedelta(seconds=start):%Y-%m-%d %H:%M}"
-            if stamps
-            else f"{start:.6g} s"
-        )
+        if not stamps:
+            return f"{start:.6g} s"
+        return f"{min(stamps) + timedelta(seconds=start):%Y-%m-%d %H:%M}"
 
     results, given, warnings = {}, {}, []
     names = list(dict.fromkeys(r.unit for r in dataset.recordings))
     for k, name in enumerate(names):
         progress(f"unit {name}", k / len(names))
-        own = _of(dataset, name)
+        own = [r for r in dataset.recordings if r.unit == name]
         try:
             results[name] = identified(own)
         except RecordingError as error:
@@ -117,10 +121,6 @@ def identify_fleet(
     seconds = time.perf_counter() - started
     provenance = Provenance.of(request.seed, dataset.recordings, seconds, source, dataset.tables)
     return Found(dataset, results, found, tuple(warnings), provenance)
-
-
-def _of(dataset: Dataset, unit: str) -> list[Recording]:
-    return [r for r in dataset.recordings if r.unit == unit]
 
 
 def _estimates(found: Identification) -> Estimates:
@@ -180,7 +180,8 @@ def fleet_record(found: Found) -> dict[str, Any]:
 def unit_records(found: Found) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the file of each unit's own identification, and its record."""
     for name, result in found.results.items():
-        own = replace(found.dataset, recordings=tuple(_of(found.dataset, name)))
+        recordings = tuple(r for r in found.dataset.recordings if r.unit == name)
+        own = replace(found.dataset, recordings=recordings)
         yield f"{name}/{RESULT_FILE}", outcome_record(Outcome(own, (result,), found.provenance))
 
 
@@ -194,26 +195,41 @@ def fleet_document(name: str, found: Found) -> Document:
     if odd:
         said = f"{', '.join(odd)}: left out of means, spreads and shared values"
         verdict = Verdict(f"{len(odd)} of {count} differ from the others", said, "open")
-    tables = [t for t in (_odd_table(found), _means_table(found)) if t.rows]
+    others = found.fleet.populations
+    differ = columns(
+        found.fleet.odd,
+        (2, 3, 4, 5),
+        ("odd unit", lambda o: o.unit),
+        ("parameter", lambda o: o.parameter),
+        ("value", lambda o: number(o.value)),
+        (
+            "mean",
+            lambda o: number(others[o.parameter].mean.value) if o.parameter in others else "-",
+        ),
+        ("deviations", lambda o: number(o.ratio, 3)),
+        ("p", lambda o: f"{o.p_value:.2g}"),
+        ("since", lambda o: o.since or "-"),
+    )
+    tables = [t for t in (differ, _means_table(found)) if t.rows]
     head = Section("", (verdict, *tables, *(Note(w, "warning") for w in found.warnings)))
     borrowed = (
         "A unit's value is drawn to the mean by its own uncertainty; * marks what its recordings "
         "do not determine at all."
     )
-    each = Section("Units", (_unit_table(found), Note(borrowed, "aside")))
+
+    def cell(value: Value | None) -> str:
+        if value is None:
+            return "-"
+        mark = "*" if value.own is None else ""
+        return f"{number(value.value)}{mark} {interval(value.low, value.high)}"
+
+    units = found.fleet.units
+    names = dict.fromkeys(n for own in units.values() for n in own)
+    rows = tuple((unit, *(cell(own.get(n)) for n in names)) for unit, own in units.items())
+    values = Table(("unit", *names), rows, tuple(range(1, len(names) + 1)))
+    each = Section("Units", (values, Note(borrowed, "aside")))
     sections = (head, each, provenance_section(found.provenance))
     return Document(f"Identification of {name}", count, (head,), sections)
-
-
-def _odd_table(found: Found) -> Table:
-    rows = []
-    for o in found.fleet.odd:
-        others = found.fleet.populations.get(o.parameter)
-        mean = number(None if others is None else others.mean.value)
-        numbers = number(o.value), mean, number(o.ratio, 3), f"{o.p_value:.2g}"
-        rows.append((o.unit, o.parameter, *numbers, o.since or "-"))
-    header = ("odd unit", "parameter", "value", "mean", "deviations", "p", "since")
-    return Table(header, tuple(rows), (2, 3, 4, 5))
 
 
 def _means_table(found: Found) -> Table:
@@ -232,16 +248,3 @@ def _means_table(found: Found) -> Table:
     ends = "90 % interval"
     header = ("parameter", "is", "mean", ends, "spread", ends, "units", "unit")
     return Table(header, tuple(rows), (2, 4, 6))
-
-
-def _unit_table(found: Found) -> Table:
-    def cell(value: Value | None) -> str:
-        if value is None:
-            return "-"
-        mark = "*" if value.own is None else ""
-        return f"{number(value.value)}{mark} {interval(value.low, value.high)}"
-
-    names = dict.fromkeys(n for own in found.fleet.units.values() for n in own)
-    units = found.fleet.units.items()
-    rows = tuple((unit, *(cell(own.get(n)) for n in names)) for unit, own in units)
-    return Table(("unit", *names), rows, tuple(range(1, len(names) + 1)))

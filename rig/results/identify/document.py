@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Literal
 
 from identification.estimate.ladder import Rung, Transfer
 from identification.estimate.paper_method import Contender
@@ -13,31 +14,34 @@ from identification.estimate.simulated_ladder import PER_VOLT, Constant, Simulat
 from identification.model.parameters import LADDER, LINEAR, SIMULATED
 from identification.plots import fit as fit_plots
 from identification.plots import signals
-from identification.recording import Recording
 from identification.result import (
     HEADLINES,
     Convergence,
-    Fit,
     Identification,
     KnownConstant,
-    MeasuredNoise,
     Parameter,
     Profile,
-    Trace,
 )
+from rig.common.places import source_name
+from rig.common.provenance import RESULT_FILE
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
 from rig.results.document import (
+    PAGE_FILE,
     Document,
     Note,
     Picture,
     Section,
     Table,
     Verdict,
+    columns,
     few_of_each_role,
     provenance_section,
     reading_notes,
+    write_page,
+    write_record,
 )
-from rig.results.identify.identify import Outcome
+from rig.results.identify.identify import Outcome, outcome_record
+from rig.results.measured import facts_of
 
 PROFILE_NOTE = (
     "Profile: the range in which -2 log likelihood rises by at most 2.71, with all other "
@@ -76,35 +80,21 @@ def uncertainty_notes(result: Identification) -> list[str]:
     hit = [p.name for p in result.parameters.values() if p.at_bound]
     ends = ", ".join(hit) or "none"
     lines.append(f"parameters at an end of the range in which they are sought: {ends}")
-    if result.noise:
-        lines.append(_noise_statement(result.noise, result.motion))
+    if noise := result.noise:
+        torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, new in each sample"
+        if noise.correlated:
+            over = f"which persists for {number(1e3 * noise.correlation_s, 2)} ms"
+            torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
+        factor, unit = (1e6, "um") if result.motion == LINEAR else (math.degrees(1.0), "deg")
+        step, beyond = (number(factor * x, 3) for x in (noise.encoder_step_rad, noise.angle_rad))
+        angle = f"encoder step {step} {unit}, and {beyond} {unit} rms beside it"
+        lines.append(f"noise of the recordings: {torque}; {angle}")
     lines += [
         f"{s.best} of {len(s.ends)} searches of the {s.stage} parameters, each from other start "
         f"values, ended {'at a solution' if s.absolute else 'at the best fit'}"
         for s in result.starts
     ]
     return [f"{result.method}: {line}" for line in lines]
-
-
-def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
-    """Return text on the estimated noise of the recordings."""
-    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, new in each sample"
-    if noise.correlated:
-        over = f"which persists for {number(1e3 * noise.correlation_s, 2)} ms"
-        torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
-    factor, unit = (1e6, "um") if motion == LINEAR else (math.degrees(1.0), "deg")
-    step, beyond = (
-        f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
-    )
-    return f"noise of the recordings: {torque}; encoder step {step}, and {beyond} rms beside it"
-
-
-def _columns(
-    items: Iterable[Any], right: tuple[int, ...], *columns: tuple[str, Callable[[Any], str]]
-) -> Table:
-    """Return a table of one row per item, from titles and cells of its columns."""
-    rows = tuple(tuple(cell(item) for _, cell in columns) for item in items)
-    return Table(tuple(title for title, _ in columns), rows, right)
 
 
 def profile_table(result: Identification) -> Table:
@@ -116,45 +106,40 @@ def profile_table(result: Identification) -> Table:
         here = result.fitted[curve.name]
         return (curve.high - here) / (here - curve.low)
 
-    return _columns(
+    def ends(curve: Profile) -> str:
+        """Return the range of a profile as text; an end beyond the scanned values is open."""
+        if skew(curve) is not None:
+            return interval(curve.low, curve.high)
+        low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
+        high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
+        return f"[{low}, {high}]"
+
+    known = result.parameters
+    return columns(
         result.profiles,
         (1, 2, 3, 4),
         ("parameter", lambda c: c.name),
-        ("90 % interval", lambda c: _interval(result.parameters[c.name])),
-        ("profile", lambda c: _open(c) if skew(c) is None else interval(c.low, c.high)),
+        ("90 % interval", lambda c: interval(known[c.name].low, known[c.name].high)),
+        ("profile", ends),
         ("skew", lambda c: number(skew(c), 3)),
         ("scaled", lambda c: number(c.scale, 3)),
         ("unit", lambda c: c.unit),
     )
 
 
-def _interval(parameter: Parameter) -> str:
-    return interval(parameter.low, parameter.high)
-
-
-def _open(curve: Profile) -> str:
-    """Return the range of a profile as text; an end beyond the scanned values is open."""
-    low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
-    high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
-    return f"[{low}, {high}]"
-
-
 def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     """Return the requested tables, each with its note."""
-    tables = []
-    if result.priors:
-        tables.append((_priors_table(result), PRIORS_NOTE))
-    if result.known_constants:
-        tables.append((_constants_table(result), CONSTANTS_NOTE))
-    if result.profiles:
-        tables.append((profile_table(result), PROFILE_NOTE))
-    if result.resampled:
-        tables.append((bootstrap_table(result), BOOTSTRAP_NOTE))
-    return tables
+    made = (
+        (result.priors, _priors_table, PRIORS_NOTE),
+        (result.known_constants, _constants_table, CONSTANTS_NOTE),
+        (result.profiles, profile_table, PROFILE_NOTE),
+        (result.resampled, bootstrap_table, BOOTSTRAP_NOTE),
+    )
+    return [(table(result), note) for given, table, note in made if given]
 
 
 def _priors_table(result: Identification) -> Table:
-    return _columns(
+    return columns(
         result.priors,
         (1, 2, 3),
         ("parameter", lambda p: p.name),
@@ -169,15 +154,12 @@ def _constants_table(result: Identification) -> Table:
     """Return value, uncertainty and most changed parameters of each constant."""
 
     def most(constant: KnownConstant) -> str:
-        shares = {
-            name: shift / value
-            for name, shift in constant.shifts.items()
-            if (value := result.parameters[name].value)
-        }
+        known = {name: result.parameters[name].value for name in constant.shifts}
+        shares = {name: constant.shifts[name] / value for name, value in known.items() if value}
         moved = sorted(shares, key=lambda name: -abs(shares[name]))[:_MOVED]
         return ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in moved) or "nothing"
 
-    return _columns(
+    return columns(
         result.known_constants,
         (1, 2),
         ("constant", lambda c: c.place),
@@ -189,29 +171,16 @@ def _constants_table(result: Identification) -> Table:
 
 def bootstrap_table(result: Identification) -> Table:
     """Return one row for each parameter: the spread of the bootstrap estimates and the interval."""
-    return _columns(
+    known = result.parameters
+    return columns(
         result.resampled,
         (1, 2, 3),
         ("parameter", lambda r: r.name),
-        ("90 % interval", lambda r: _interval(result.parameters[r.name])),
+        ("90 % interval", lambda r: interval(known[r.name].low, known[r.name].high)),
         ("bootstrap", lambda r: interval(r.low, r.high)),
         ("draws solved", lambda r: f"{r.solved} of {r.draws}"),
         ("unit", lambda r: r.unit),
     )
-
-
-def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
-    """Return figures of profiles and of costs over starts (for more than one start)."""
-    pictures = []
-    for result in results:
-        several = [s for s in result.starts if len(s.ends) > 1]
-        if result.profiles:
-            made = fit_plots.profiles(result.profiles, list(result.parameters.values()))
-            pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
-        if several:
-            made = fit_plots.waterfall(several)
-            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", made))
-    return pictures
 
 
 COMPARISON_NOTE = (
@@ -222,25 +191,33 @@ COMPARISON_NOTE = (
 
 
 def _fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
-    of_roles, of_recordings = [], []
-    for result in results:
-        fit = result.fit
-        of_roles.append(
-            (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
-        )
+    """Return the errors over each role, and over each recording."""
+    of_roles: list[tuple[Any, ...]] = []
+    of_recordings: list[tuple[Any, ...]] = []
+    for r in results:
+        fit, roles = r.fit, {trace.recording: trace.role for trace in r.traces}
+        of_roles.append((r.method, "all", "fit", fit, fit.train_rms, fit.train_relative))
         if fit.validate_rms is not None:
-            cells = _fit_cells(fit, fit.validate_rms, fit.validate_relative)
-            of_roles.append((result.method, "all", "validate", *cells))
-        roles = {trace.recording: trace.role for trace in result.traces}
+            validated = fit.validate_rms, fit.validate_relative
+            of_roles.append((r.method, "all", "validate", fit, *validated))
         of_recordings += [
-            (result.method, name, roles[name], *_fit_cells(own, own.train_rms, own.train_relative))
-            for name, own in result.fits_by_recording.items()
+            (r.method, name, roles[name], own, own.train_rms, own.train_relative)
+            for name, own in r.fits_by_recording.items()
         ]
-    header = ("role", "bandwidth", "error, rms", "relative")
-    return (
-        Table(("method", "recordings", *header), tuple(of_roles), (3, 4, 5)),
-        Table(("method", "recording", *header), tuple(of_recordings), (3, 4, 5)),
-    )
+
+    def table(title: str, rows: Sequence[tuple[Any, ...]]) -> Table:
+        return columns(
+            rows,
+            (3, 4, 5),
+            ("method", lambda row: row[0]),
+            (title, lambda row: row[1]),
+            ("role", lambda row: row[2]),
+            ("bandwidth", lambda row: f"{number(row[3].bandwidth_Hz, 4)} Hz"),
+            ("error, rms", lambda r: "-" if r[4] is None else f"{number(r[4], 4)} {r[3].unit}"),
+            ("relative", lambda row: percent(None if row[5] is None else 100.0 * row[5])),
+        )
+
+    return table("recordings", of_roles), table("recording", of_recordings)
 
 
 def _stage_table(results: Sequence[Identification]) -> Table:
@@ -249,7 +226,7 @@ def _stage_table(results: Sequence[Identification]) -> Table:
         stage = row[1]
         return "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}"
 
-    return _columns(
+    return columns(
         [(result.method, stage) for result in results for stage in result.stages],
         (3, 4, 5, 6),
         ("method", lambda s: s[0]),
@@ -273,7 +250,7 @@ def _comparison_table(contenders: Sequence[Contender]) -> Table:
         return "reference" if c.excess is None else worst(c.error, c.worst)
 
     true = ("error against truth", lambda c: worst(c.true_error, c.true_worst))
-    return _columns(
+    return columns(
         contenders,
         (1, 2, 3, 4, 5),
         ("estimator", lambda c: c.name),
@@ -295,7 +272,7 @@ def _ladder_table(rungs: Sequence[Rung]) -> Table:
     def of_angle(rung: Rung, measure: str) -> str:
         return "-" if rung.angle is None else number(scale * getattr(rung.angle, measure), 3)
 
-    return _columns(
+    return columns(
         rungs,
         (2, 3, 4, 5),
         ("friction", lambda r: r.friction),
@@ -322,7 +299,7 @@ def _ladder_notes(rungs: Sequence[Rung]) -> list[str]:
 
 def _transfer_table(found: Transfer) -> Table:
     findings = {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}
-    return _columns(
+    return columns(
         found.parameters,
         (1, 2, 3, 4),
         ("parameter", lambda m: m.name),
@@ -343,32 +320,19 @@ def _transfer_notes(found: Transfer) -> list[str]:
         f"{number(fit.bandwidth_Hz, 3)} Hz; with parameters identified on the other source it is "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
-    floor = found.floor
-    if floor is None:
-        return [
-            line,
-            "the noise floor of the other source is unknown: no motion is repeated under the "
-            "same command",
-        ]
-    ways = [
-        f"{count} {what}"
-        for count, what in ((floor.periods, "periodic"), (floor.repeats, "repeated"))
-        if count
-    ]
-    return [
-        line,
-        f"the noise floor of the other source is {number(floor.rms, 3)} {fit.unit}, from "
-        f"{floor.samples} pairs of samples of {' and '.join(ways)} recordings: the error is "
-        f"{number(fit.train_rms / floor.rms, 3)} times this floor",
-    ]
-
-
-def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str, str, str]:
-    return (
-        f"{number(fit.bandwidth_Hz, 4)} Hz",
-        "-" if rms is None else f"{number(rms, 4)} {fit.unit}",
-        percent(None if relative is None else 100.0 * relative),
+    said = (
+        "the noise floor of the other source is unknown: no motion is repeated under the same "
+        "command"
     )
+    if (floor := found.floor) is not None:
+        counts = ((floor.periods, "periodic"), (floor.repeats, "repeated"))
+        ways = " and ".join(f"{count} {what}" for count, what in counts if count)
+        said = (
+            f"the noise floor of the other source is {number(floor.rms, 3)} {fit.unit}, from "
+            f"{floor.samples} pairs of samples of {ways} recordings: the error is "
+            f"{number(fit.train_rms / floor.rms, 3)} times this floor"
+        )
+    return [line, said]
 
 
 def parameter_table(
@@ -379,25 +343,44 @@ def parameter_table(
 
     The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
     """
-    header = ["parameter"]
-    for result in results:
-        prefix = "" if len(results) == 1 else f"{result.method}: "
-        header += [
-            f"{prefix}value",
-            f"{prefix}90 % interval",
-            f"{prefix}floor",
-            *([f"{prefix}error"] if truth else []),
+    true = truth or {}
+    prefix = {r.method: f"{r.method}: " if len(results) > 1 else "" for r in results}
+
+    def cell(result: Identification, words: Callable[[Parameter], str]) -> Callable[[str], str]:
+        known = result.parameters
+        return lambda name: words(known[name]) if name in known else "-"
+
+    def floor(parameter: Parameter) -> str:
+        return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
+
+    def error(parameter: Parameter) -> str:
+        value, exact = parameter.value, true.get(parameter.name)
+        return percent(100.0 * (value / exact - 1.0) if value is not None and exact else None)
+
+    def unit(name: str) -> str:
+        return [r.parameters[name].unit for r in results if name in r.parameters][-1]
+
+    def remarks(name: str) -> str:
+        said = [
+            (prefix[r.method], note(r.parameters[name])) for r in results if name in r.parameters
         ]
-    header += ["unit", *(["true"] if truth else []), "note"]
-    names = dict.fromkeys(name for result in results for name in result.parameters)
-    rows = [_row(name, results, truth) for name in names]
-    kept = [i for i in range(len(header)) if any(row[i] not in ("", "-") for row in rows)]
-    numbers = [k for k, i in enumerate(kept) if header[i] not in ("parameter", "unit", "note")]
-    return Table(
-        tuple(header[i] for i in kept),
-        tuple(tuple(row[i] for i in kept) for row in rows),
-        tuple(numbers),
-    )
+        return "; ".join(f"{method}{words}" for method, words in said if words)
+
+    titled: list[tuple[str, Callable[[str], str]]] = [("parameter", str)]
+    for r in results:
+        titled += [
+            (f"{prefix[r.method]}value", cell(r, lambda p: number(p.value))),
+            (f"{prefix[r.method]}90 % interval", cell(r, lambda p: interval(p.low, p.high))),
+            (f"{prefix[r.method]}floor", cell(r, floor)),
+            (f"{prefix[r.method]}error", cell(r, error)),
+        ]
+    titled += [("unit", unit), ("true", lambda name: number(true.get(name))), ("note", remarks)]
+    whole = columns(dict.fromkeys(name for r in results for name in r.parameters), (), *titled)
+    kept = [k for k, cells in enumerate(zip(*whole.rows, strict=True)) if set(cells) - {"", "-"}]
+    texts = ("parameter", "unit", "note")
+    numbers = (n for n, k in enumerate(kept) if whole.header[k] not in texts)
+    header, *rows = (tuple(row[k] for k in kept) for row in (whole.header, *whole.rows))
+    return Table(header, tuple(rows), tuple(numbers))
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:
@@ -413,21 +396,18 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
 def determined_notes(results: Sequence[Identification]) -> list[str]:
     """Return how many parameters the printed intervals determine, and the least accurate."""
     lines = []
-    for result in results:
+    for result in (r for r in results if r.intervals):
+        known = sum(p.determined for p in result.parameters.values())
+        line = f"{result.method}: {known} of {len(result.parameters)} parameters are determined"
         widths = {
             n: 0.5 * (high - low) / abs(p.value)
             for n, (low, high) in result.intervals.items()
             if (p := result.parameters[n]).determined and p.value and high > low
         }
-        if result.intervals:
-            known = sum(p.determined for p in result.parameters.values())
-            line = f"{result.method}: {known} of {len(result.parameters)} parameters are determined"
-            if widths:
-                weakest = max(widths, key=lambda n: widths[n])
-                line += (
-                    f"; the least accurate is {weakest}, to +-{percent(100.0 * widths[weakest])}"
-                )
-            lines.append(line)
+        if widths:
+            weakest = max(widths, key=lambda n: widths[n])
+            line += f"; the least accurate is {weakest}, to +-{percent(100.0 * widths[weakest])}"
+        lines.append(line)
     return lines
 
 
@@ -439,32 +419,6 @@ def note(parameter: Parameter) -> str:
         return "at the end of the range of the search"
     unknown = parameter.low is not None and not parameter.determined
     return "not determined: the interval is too wide" if unknown else ""
-
-
-def _row(
-    name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
-) -> tuple[str, ...]:
-    cells = [name]
-    notes: list[str] = []
-    unit = ""
-    true = (truth or {}).get(name)
-    for result in results:
-        parameter = result.parameters.get(name)
-        if parameter is None:
-            cells += ["-"] * (4 if truth else 3)
-            continue
-        unit = parameter.unit
-        cells += [
-            number(parameter.value),
-            interval(parameter.low, parameter.high),
-            "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}",
-        ]
-        if truth:
-            off = parameter.value / true - 1.0 if parameter.value is not None and true else None
-            cells.append(percent(None if off is None else 100.0 * off))
-        if said := note(parameter):
-            notes.append(said if len(results) == 1 else f"{result.method}: {said}")
-    return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))
 
 
 _WORDS = {
@@ -482,7 +436,7 @@ def _simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
     def crossed(rung: SimulatedRung) -> str:
         return "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3)
 
-    return _columns(
+    return columns(
         rungs,
         (3, 4, 5, *range(6, 6 + len(names))),
         ("friction", lambda r: r.friction),
@@ -497,26 +451,22 @@ def _simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
 
 
 def _simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
+    def line(c: Constant, friction: str) -> str:
+        prior = "" if c.prior is None else f", prior +- {100.0 * c.prior:.3g} %"
+        return (
+            f"{friction}: {_WORDS[c.name]} {number(c.declared, 4)} declared{prior}; "
+            f"{number(c.value, 4)} {interval(c.low, c.high)} {c.unit} found, "
+            f"{100.0 * c.change:+.1f} %: {CHANGED if c.moved else NO_CHANGE}"
+        )
+
     longest = max(rung.horizon_s for rung in rungs)
-    lines = [
+    return [
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
         f"MAE: mean absolute error of that angle. Cross-validated: error on each third of the "
         f"recordings, predicted by a fit to the other two thirds; tied: not distinguished from "
-        f"the least cross-validated error."
+        f"the least cross-validated error.",
+        *(line(c, rung.friction) for rung in rungs if rung.tied for c in rung.constants),
     ]
-    for rung in rungs:
-        if rung.tied and rung.constants:
-            lines += [_constant_line(c, rung.friction) for c in rung.constants]
-    return lines
-
-
-def _constant_line(c: Constant, friction: str) -> str:
-    prior = "" if c.prior is None else f", prior +- {100.0 * c.prior:.3g} %"
-    return (
-        f"{friction}: {_WORDS[c.name]} {number(c.declared, 4)} declared{prior}; "
-        f"{number(c.value, 4)} {interval(c.low, c.high)} {c.unit} found, "
-        f"{100.0 * c.change:+.1f} %: {CHANGED if c.moved else NO_CHANGE}"
-    )
 
 
 def _change(rung: SimulatedRung, name: str) -> str:
@@ -531,14 +481,6 @@ _TRUTH = (
     'The column "true" has the parameters of the simulated bench, which are read from its file '
     "after the fit, for this table only."
 )
-
-
-class Extra(NamedTuple):
-    """An optional part of the result: title, table and explanatory lines."""
-
-    title: str
-    table: Table
-    notes: Sequence[str]
 
 
 def identify_document(
@@ -558,6 +500,21 @@ def identify_document(
     )
 
 
+def write_identification(
+    source: Path,
+    outcome: Outcome,
+    truth: Mapping[str, float] | None,
+    folder: Path,
+    json_file: Path | None = None,
+) -> tuple[dict[str, Any], Document]:
+    """Write result file and page of an identification into a folder; return record and document."""
+    record = outcome_record(outcome)
+    write_record(record, folder / RESULT_FILE, json_file)
+    document = identify_document(source_name(source), outcome, truth, facts_of(source))
+    write_page(document, folder / PAGE_FILE)
+    return record, document
+
+
 def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
     results = outcome.results
     if verdicts := _misfits(results):
@@ -570,8 +527,7 @@ def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Se
         yield Section("", (cells, Note(line)))
     if outcome.comparison:
         yield Section("", (_comparison_table(outcome.comparison), Note(COMPARISON_NOTE)))
-    for extra in _extras(outcome):
-        yield Section(extra.title, (extra.table, *map(Note, extra.notes)))
+    yield from _extras(outcome, "plain")
     last = (
         *map(Note, reading_notes(outcome.dataset.recordings)),
         *(Note(line, "aside") for line in parameter_notes(results)),
@@ -582,8 +538,15 @@ def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Se
 
 
 def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
-    results = outcome.results
-    yield Section("", (*_misfits(results), _lead(outcome)))
+    results, recordings = outcome.results, outcome.dataset.recordings
+    moments = {
+        r.name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0)
+        for r in recordings
+    }
+    what = "friction against speed, measured (dots) and identified (black); below it the recordings"
+    drawn = fit_plots.result(results[0], moments, recordings)
+    lead = Picture.of("result", f"Result: {what}", drawn, lead=True)
+    yield Section("", (*_misfits(results), lead))
     if warnings := _warnings(results):
         yield Section("Warnings", tuple(warnings))
     yield Section("Parameters", tuple(_parameters(results, truth)))
@@ -591,14 +554,28 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     if outcome.comparison:
         cells = _comparison_table(outcome.comparison)
         yield Section("Estimators side by side", (cells, Note(COMPARISON_NOTE, "aside")))
-    recordings = {r.name: r for r in outcome.dataset.recordings}
-    yield Section(
-        "Fit", (*_fit_tables(results), *(_stribeck(result, recordings) for result in results))
+    curves = (
+        Picture.of(
+            f"stribeck_{result.method}",
+            f"Friction against speed, measured and fitted by the {result.method} method",
+            fit_plots.stribeck(result, moments),
+        )
+        for result in results
     )
-    for extra in _extras(outcome):
-        yield Section(extra.title, (extra.table, *(Note(line, "aside") for line in extra.notes)))
-    yield Section("Stages and convergence", (_stage_table(results), *_convergence(results, truth)))
-    yield Section("Recordings", tuple(_recordings(outcome, recordings)))
+    yield Section("Fit", (*_fit_tables(results), *curves))
+    yield from _extras(outcome, "aside")
+    convergence = (
+        Picture.of(
+            f"convergence_{result.method}_{stage.stage}",
+            f"Convergence of the {stage.stage} stage, {result.method} method",
+            fit_plots.convergence(stage, truth),
+        )
+        for result in results
+        for stage in result.stages
+        if stage.cost_history is not None and stage.parameter_history
+    )
+    yield Section("Stages and convergence", (_stage_table(results), *convergence))
+    yield Section("Recordings", tuple(_recordings(outcome)))
     yield provenance_section(outcome.provenance)
 
 
@@ -619,17 +596,20 @@ def _warnings(results: Sequence[Identification]) -> list[Note]:
     return [Note(f"{r.method}: {line}", "warning") for r in results for line in r.warnings]
 
 
-def _extras(outcome: Outcome) -> Iterator[Extra]:
+def _extras(outcome: Outcome, tone: Literal["plain", "aside"]) -> Iterator[Section]:
+    """Yield the optional parts of the result, each with explanatory lines."""
+
+    def section(title: str, table: Table, lines: Iterable[str]) -> Section:
+        return Section(title, (table, *(Note(line, tone) for line in lines)))
+
     if rungs := outcome.ladder:
-        yield Extra("Ladder of friction models", _ladder_table(rungs), _ladder_notes(rungs))
+        yield section("Ladder of friction models", _ladder_table(rungs), _ladder_notes(rungs))
     if simulated := outcome.simulated:
-        yield Extra(
-            "Friction models fitted to the simulated angle",
-            _simulated_table(simulated, outcome.results[0].motion),
-            _simulated_notes(simulated),
-        )
+        table = _simulated_table(simulated, outcome.results[0].motion)
+        title = "Friction models fitted to the simulated angle"
+        yield section(title, table, _simulated_notes(simulated))
     if (found := outcome.transfer) is not None:
-        yield Extra("Transfer", _transfer_table(found), _transfer_notes(found))
+        yield section("Transfer", _transfer_table(found), _transfer_notes(found))
 
 
 def _fit_line(result: Identification) -> str:
@@ -660,60 +640,24 @@ def _parameters(
 
 
 def _how_sure(results: Sequence[Identification]) -> Iterator[Table | Note | Picture]:
+    for line in (line for result in results for line in uncertainty_notes(result)):
+        yield Note(line, "aside")
+    for cells, line in (each for result in results for each in uncertainty_tables(result)):
+        yield cells
+        yield Note(line, "aside")
     for result in results:
-        for line in uncertainty_notes(result):
-            yield Note(line, "aside")
-    for result in results:
-        for cells, line in uncertainty_tables(result):
-            yield cells
-            yield Note(line, "aside")
-    yield from uncertainty_pictures(results)
+        if result.profiles:
+            made = fit_plots.profiles(result.profiles, list(result.parameters.values()))
+            yield Picture.of(f"profiles_{result.method}", "Likelihood profiles", made)
+        if several := [s for s in result.starts if len(s.ends) > 1]:
+            made = fit_plots.waterfall(several)
+            yield Picture.of(f"starts_{result.method}", "Where the starts ended", made)
 
 
-def _lead(outcome: Outcome) -> Picture:
-    """Return the figure at the top of the page."""
-    recordings, first = outcome.dataset.recordings, outcome.results[0]
-    drawn = fit_plots.result(first, _moments(recordings), recordings)
-    what = "friction against speed, measured (dots) and identified (black); below it the recordings"
-    return Picture.of("result", f"Result: {what}", drawn, lead=True)
-
-
-def _moments(recordings: Sequence[Recording]) -> dict[str, float | None]:
-    return {
-        r.name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0)
-        for r in recordings
-    }
-
-
-def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Picture:
-    moments = _moments(list(recordings.values()))
-    return Picture.of(
-        f"stribeck_{result.method}",
-        f"Friction against speed, measured and fitted by the {result.method} method",
-        fit_plots.stribeck(result, moments),
-    )
-
-
-def _convergence(
-    results: Sequence[Identification], truth: Mapping[str, float] | None
-) -> list[Picture]:
-    return [
-        Picture.of(
-            f"convergence_{result.method}_{stage.stage}",
-            f"Convergence of the {stage.stage} stage, {result.method} method",
-            fit_plots.convergence(stage, truth),
-        )
-        for result in results
-        for stage in result.stages
-        if stage.cost_history is not None and stage.parameter_history
-    ]
-
-
-def _recordings(
-    outcome: Outcome, recordings: Mapping[str, Recording]
-) -> Iterator[Table | Note | Picture]:
-    yield _columns(
-        outcome.dataset.recordings,
+def _recordings(outcome: Outcome) -> Iterator[Table | Note | Picture]:
+    recordings = {r.name: r for r in outcome.dataset.recordings}
+    yield columns(
+        recordings.values(),
         (3, 4, 5),
         ("recording", lambda r: r.name),
         ("role", lambda r: r.role),
@@ -731,19 +675,8 @@ def _recordings(
             "aside",
         )
     for trace in shown:
-        yield from _of_recording(trace, recordings[trace.recording], first.torque_unit)
-
-
-def _of_recording(trace: Trace, recording: Recording, unit: str) -> tuple[Picture, Picture]:
-    return (
-        Picture.of(
-            f"response_{trace.recording}",
-            f"{trace.recording}: response",
-            signals.response(trace, recording, unit),
-        ),
-        Picture.of(
-            f"residual_{trace.recording}",
-            f"{trace.recording}: residual of the model",
-            signals.residual(trace, recording.bench.motion, unit),
-        ),
-    )
+        name, recording = trace.recording, recordings[trace.recording]
+        response = signals.response(trace, recording, first.torque_unit)
+        yield Picture.of(f"response_{name}", f"{name}: response", response)
+        residual = signals.residual(trace, recording.bench.motion, first.torque_unit)
+        yield Picture.of(f"residual_{name}", f"{name}: residual of the model", residual)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,12 +18,12 @@ from identification.estimate.ladder import Rung, Transfer, climb, transfer
 from identification.estimate.paper_method import Contender, compare, identify_paper
 from identification.estimate.simulated_ladder import SimulatedRung, climb_simulated
 from identification.model.parameters import LADDER, SIMULATED
-from identification.numerics.arrays import finite, plain
-from identification.recording import Dataset, RecordingError
+from identification.numerics.arrays import Progress, finite, plain
+from identification.recording import Dataset
 from identification.result import Identification, by_name
-from rig.common.errors import InputError
 from rig.common.places import is_folder
 from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, constants_of
+from rig.results.measured import named_errors
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
@@ -40,7 +39,7 @@ class Method(Protocol):
         *,
         bandwidth_Hz: float | None,
         rng: np.random.Generator,
-        progress: Callable[[str, float], None] | None = None,
+        progress: Progress | None = None,
     ) -> Identification:
         """Identify a dataset."""
         ...
@@ -89,24 +88,28 @@ class Request:
     partial: bool = False
 
 
-def identify_source(
-    source: Path, request: Request, progress: Callable[[str, float], None]
-) -> Outcome:
+def identify_source(source: Path, request: Request, progress: Progress) -> Outcome:
     """Identify a run folder or campaign file."""
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source, partial=request.partial)
     other = None if request.score is None else load_source(request.score)
     warnings = _warnings(source, dataset)
-    with _named(source, without_partial(dataset)):
+    with named_errors(source, without_partial(dataset)):
         results = [
             _identified(dataset, method, request, warnings, progress) for method in request.methods
         ]
-    rungs, simulated = _ladders(source, dataset, request, progress)
+    rungs: tuple[Rung, ...] = ()
+    simulated: tuple[SimulatedRung, ...] = ()
+    if request.ladder:
+        hertz, rng = request.bandwidth_Hz, np.random.default_rng(request.seed)
+        with named_errors(source):
+            rungs = climb(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
+            simulated = climb_simulated(dataset, bandwidth_Hz=hertz, progress=progress)
     carried = None
     if request.score is not None and other is not None:
         progress("scoring", 0.0)
-        with _named(request.score):
+        with named_errors(request.score):
             carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
     tables = {**dataset.tables, **(other.tables if other is not None else {})}
@@ -117,24 +120,12 @@ def identify_source(
     )
 
 
-def _ladders(
-    source: Path, dataset: Dataset, request: Request, progress: Callable[[str, float], None]
-) -> tuple[tuple[Rung, ...], tuple[SimulatedRung, ...]]:
-    """Return the friction models fitted to torque and to simulated angle, if requested."""
-    if not request.ladder:
-        return (), ()
-    hertz, rng = request.bandwidth_Hz, np.random.default_rng(request.seed)
-    with _named(source):
-        rungs = climb(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
-        return rungs, climb_simulated(dataset, bandwidth_Hz=hertz, progress=progress)
-
-
 def _identified(
     dataset: Dataset,
     method: str,
     request: Request,
     warnings: tuple[str, ...],
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> Identification:
     """Identify by one method, and measure the time."""
     begun = time.perf_counter()
@@ -163,26 +154,17 @@ def _warnings(source: Path, dataset: Dataset) -> tuple[str, ...]:
     return (*partial_warnings(dataset), *off, *((_FED,) if fed else ()))
 
 
-@contextmanager
-def _named(source: Path, remedy: str = "") -> Iterator[None]:
-    """Add the name of the source to the error of recordings that cannot be used."""
-    try:
-        yield
-    except RecordingError as error:
-        raise InputError(f"{source}: {error}{remedy}") from error
-
-
 def compare_methods(
     source: Path,
     outcome: Outcome,
     truth: Mapping[str, float] | None,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> Outcome:
     """Return an outcome with all estimators compared; stochastic ones with several seeds."""
     started = time.perf_counter()
     seed = outcome.provenance.seed
     seeds = range(seed, seed + COMPARED_SEEDS)
-    with _named(source):
+    with named_errors(source):
         found = compare(
             outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress
         )
@@ -208,7 +190,9 @@ def outcome_record(outcome: Outcome) -> dict[str, Any]:
     if outcome.transfer is not None:
         record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
     if outcome.comparison:
-        record["comparison"] = comparison_record(outcome.comparison)
+        record["comparison"] = [
+            {**plain(c, "excess"), "cost_above_least": finite(c.excess)} for c in outcome.comparison
+        ]
     return record
 
 
@@ -283,8 +267,3 @@ def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
             for m in found.parameters
         },
     }
-
-
-def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Return the comparison of methods for the result file; errors are relative."""
-    return [{**plain(c, "excess"), "cost_above_least": finite(c.excess)} for c in contenders]

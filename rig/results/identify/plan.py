@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,12 +31,11 @@ from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
-from rig.config.sequence import Sequence, StageSection, excitation, plain_sequence
-from rig.planning.limits import Limits
+from rig.config.sequence import Sequence, excitation, plain_sequence
 from rig.planning.plan import bench_limits, make_plan
 from rig.planning.reference import read_identification
 from rig.results.document import Document as Page
-from rig.results.document import Note, Section, Table
+from rig.results.document import Note, Section, columns
 from rig.runs.run import bench_constants, load_run
 
 _SMALLEST = 1e-12  # smallest plausible parameter value, SI units; the largest is its inverse
@@ -152,34 +150,24 @@ def plan_experiment(
         noise = known.torque_noise / limits.torque_per_ampere
     elif noise is None:
         noise = NOISE_SHARE * bench.value.limits.current_A
-    nominal = _nominal(bench.value, known, limits, noise)
-    stages = [_planned(stage, bench.value.cycle_s) for stage in sequence.value.stages]
-    found, _ = expected(stages, with_drives(nominal))
-    spent = time.perf_counter() - started
-    return Experiment(sequence.value, nominal, known.source, noise, found, spent)
-
-
-def _planned(stage: StageSection, cycle_s: float) -> PlannedStage:
-    """Return the joint angles of a stage with its rests and repeats, and its weight."""
-    rest = np.full(round(stage.settle_s / cycle_s), math.radians(stage.center_deg))
-    once = np.concatenate([rest, excitation(stage, cycle_s)])
-    return PlannedStage(np.tile(once, stage.repeats), stage.weight_kg)
-
-
-def _torque(bench: Bench, limits: Limits) -> float:
-    """Return the highest torque allowed by the torque and current limits, N m at the joint."""
-    return min(limits.torque, bench_limits(bench).torque_per_ampere * bench.limits.current_A)
-
-
-def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float) -> PlannedModel:
-    torque, step = _torque(bench, limits), _joint_step(bench)
-    return PlannedModel(
+    value, cycle_s, step = bench.value, bench.value.cycle_s, _joint_step(bench.value)
+    # The highest torque allowed by the torque and current limits, N m at the joint.
+    torque = min(limits.torque, bench_limits(value).torque_per_ampere * value.limits.current_A)
+    nominal = PlannedModel(
         known.values,
-        bench_constants(bench),
-        Sensors(bench.cycle_s, step, noise_A * limits.torque_per_ampere),
+        bench_constants(value),
+        Sensors(cycle_s, step, noise * limits.torque_per_ampere),
         torque,
         loop=drive_loop(known.recordings, torque, step),
     )
+    stages = []
+    for stage in sequence.value.stages:
+        rest = np.full(round(stage.settle_s / cycle_s), math.radians(stage.center_deg))
+        once = np.concatenate([rest, excitation(stage, cycle_s)])
+        stages.append(PlannedStage(np.tile(once, stage.repeats), stage.weight_kg))
+    found, _ = expected(stages, with_drives(nominal))
+    spent = time.perf_counter() - started
+    return Experiment(sequence.value, nominal, known.source, noise, found, spent)
 
 
 def _joint_step(bench: Bench) -> float:
@@ -195,48 +183,32 @@ def _joint_step(bench: Bench) -> float:
 
 def plan_document(experiment: Experiment) -> Page:
     """Return what a sequence determines."""
-    title = f"What {experiment.sequence.name} determines"
-    return Page(title, "", tuple(_summary(experiment)))
-
-
-def _summary(experiment: Experiment) -> Iterator[Section]:
+    name, found, loop = experiment.sequence.name, experiment.intervals, experiment.nominal.loop
     head = (
         "90 % interval over the value, half width, from simulated replicates of the nominal model:"
     )
-    rows = tuple(
-        (n, number(experiment.nominal.values[n]), _width(width))
-        for n, width in experiment.intervals.half_widths.items()
+    widths = columns(
+        found.half_widths.items(),
+        (1, 2),
+        ("parameter", lambda w: w[0]),
+        ("nominal", lambda w: number(experiment.nominal.values[w[0]])),
+        (name, lambda w: percent(100.0 * w[1]) if math.isfinite(w[1]) else "not determined"),
     )
-    widths = Table(("parameter", "nominal", experiment.sequence.name), rows, (1, 2))
-    yield Section("", (Note(head), widths))
-    yield Section("", (Note(f"{experiment.sequence.name}: {_words(experiment.intervals)}"),))
-    last = (
-        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
-        f"rms; {_drive(experiment)}; in {experiment.seconds:.1f} s"
-    )
-    yield Section("", (Note(last),))
-
-
-def _words(found: Intervals) -> str:
-    """Return how many parameters are determined, and the least accurate."""
-    open_names = [n for n, w in found.half_widths.items() if not w <= WIDEST]
-    if open_names:
-        return f"does not determine {', '.join(open_names)}"
-    return (
+    said = (
         f"determines all {len(found.half_widths)}; the least accurate is "
         f"{found.weakest}, to +-{percent(100.0 * found.worst)}"
     )
-
-
-def _drive(experiment: Experiment) -> str:
-    loop = experiment.nominal.loop
-    if loop is None:
-        return "a stiff drive loop is assumed"
-    return f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
-
-
-def _width(width: float) -> str:
-    return percent(100.0 * width) if math.isfinite(width) else "not determined"
+    if open_names := [n for n, w in found.half_widths.items() if not w <= WIDEST]:
+        said = f"does not determine {', '.join(open_names)}"
+    drive = "a stiff drive loop is assumed"
+    if loop is not None:
+        drive = f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
+    last = (
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
+        f"rms; {drive}; in {experiment.seconds:.1f} s"
+    )
+    parts = (Note(head), widths), (Note(f"{name}: {said}"),), (Note(last),)
+    return Page(f"What {name} determines", "", tuple(Section("", part) for part in parts))
 
 
 PLAN_SCHEMA = "loadrig.plan/2"

@@ -13,12 +13,12 @@ import numpy as np
 
 from identification.effects import prediction
 from identification.effects.model import CorrectedModel, predictions, views_for
-from identification.effects.own import EffectError
 from identification.effects.prediction import Simulation as Banded
 from identification.estimate.bandwidth import choose_bandwidth
+from identification.numerics.arrays import Progress
 from identification.plots.signals import predicted, simulated
 from identification.prepare import Prepared, prepare, torque_unit
-from identification.recording import Dataset, RecordingError
+from identification.recording import Dataset
 from identification.simulation.closed_loop import (
     Response,
     Sums,
@@ -40,9 +40,11 @@ from rig.results.document import (
     Picture,
     Section,
     Table,
+    columns,
     few_of_each_role,
     provenance_section,
 )
+from rig.results.measured import named_errors
 from rig.sources import load_source
 
 
@@ -134,12 +136,27 @@ class Simulation:
             if (names := self.names(role))
         }
 
+    def errors(self) -> list[dict[str, Any]]:
+        """Return the prediction errors, one entry per equation, SI units."""
+        units = {"transmission": "rad" if self.rotary else "m", "voltage": "V"}
+        return [
+            {
+                "effects": list(one.effects),
+                "equation": equation,
+                "unit": units.get(equation, self.unit),
+                "rms": one.error(equation, "fit"),
+                "validate_rms": one.error(equation, "validate"),
+            }
+            for one in self.predictions
+            for equation in dict.fromkeys(p.equation for p in one.parts)
+        ]
+
 
 def simulate_source(
     source: Path,
     result: Path,
     bandwidth_Hz: float | None,
-    progress: Callable[[str, float], None],
+    progress: Progress,
     own: OwnFile = NO_FILE,
 ) -> Simulation:
     """Predict every recording of a source with the model of a result file, and simulate the closed
@@ -156,20 +173,19 @@ def simulate_source(
     names = [r.name for r in dataset.recordings]
     model = model_of(record, names, str(result), own.catalogue)
     bandwidth_Hz = bandwidth_Hz or record.get("fit", {}).get("bandwidth_Hz")
-    try:
+    with named_errors(source):
         dataset, bandwidth_Hz, short = choose_bandwidth(dataset, bandwidth_Hz)
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
         predictions = predict(dataset, model, bandwidth_Hz)
         bands = _bands(result, record, model, dataset, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
         sums, responses = _closed_loop(model, prepared if known else (), progress)
-    except RecordingError as error:
-        raise InputError(f"{source}: {error}") from error
-    except EffectError as error:
-        raise InputError(str(error)) from error
     seconds = time.perf_counter() - started
     provenance = Provenance.of(0, dataset.recordings, seconds, source, dataset.tables)
     read = {str(result): sha256_file(result)}
+    made, other = record.get("effects_file"), []
+    if made is not None and own.path is not None and made["sha256"] != own.sha256:
+        other = [f"{result} was made with another version of {own.path} (see its SHA-256)"]
     return Simulation(
         dataset,
         result,
@@ -180,7 +196,7 @@ def simulate_source(
         tuple(responses),
         bandwidth_Hz,
         dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
-        (*short, *_other_file(result, record, own)),
+        (*short, *other),
         bands,
     )
 
@@ -206,14 +222,8 @@ def _bands(
     )
 
 
-def _other_file(path: Path, record: Mapping[str, Any], own: OwnFile) -> Iterator[str]:
-    made = record.get("effects_file")
-    if made is not None and own.path is not None and made["sha256"] != own.sha256:
-        yield f"{path} was made with another version of {own.path} (see its SHA-256)"
-
-
 def _closed_loop(
-    model: CorrectedModel, prepared: Sequence[Prepared], progress: Callable[[str, float], None]
+    model: CorrectedModel, prepared: Sequence[Prepared], progress: Progress
 ) -> tuple[dict[str, Sums], list[Response]]:
     """Simulate the recordings; return the errors by recording, and the responses."""
     sums: dict[str, Sums] = {}
@@ -260,34 +270,39 @@ def _summary(found: Simulation) -> Iterator[Section]:
     if found.sums:
         head = f"closed loop, simulated from the first sample; torque filtered to {bandwidth}"
         yield Section(head, (_pooled(found),))
-    for line in (*_band_lines(found), *_left_out(found)):
+    for line in _remarks(found):
         yield Section("", (Note(line, "aside"),))
 
 
 def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
-    yield Section("", tuple(map(Paragraph, (*_explanations(found), *beside))))
+    at = f"at {number(found.bandwidth_Hz, 4)} Hz"
+    lines = [f"Equation errors are over samples in motion, {at}.", *_remarks(found)]
+    if found.sums:
+        lines += [
+            "The closed loop is simulated from the first sample on; its inputs are only the "
+            "command, the supply and the declared loads.",
+            f"Errors of angle are over all samples; errors of torque are {at}.",
+        ]
+    yield Section("", tuple(map(Paragraph, (*lines, *beside))))
     drawn = _predicted(found)
     yield Section("Equation errors", (_errors_of_equations(found), *drawn))
     if found.sums:
+        recordings = columns(
+            [(found.sums[r.name], r) for r in found.dataset.recordings],
+            (2, 3, 4),
+            ("recording", lambda row: row[1].name),
+            ("role", lambda row: row[1].role),
+            *_error_columns(found),
+        )
         yield Section("Closed loop", (_pooled(found),))
-        yield Section("Recordings", (_of_recordings(found), *_simulated(found)))
+        yield Section("Recordings", (recordings, *_simulated(found)))
     yield provenance_section(found.provenance)
 
 
-def _explanations(found: Simulation) -> Iterator[str]:
-    at = f"at {number(found.bandwidth_Hz, 4)} Hz"
-    yield f"Equation errors are over samples in motion, {at}."
-    yield from (*_band_lines(found), *_left_out(found))
-    if found.sums:
-        yield (
-            "The closed loop is simulated from the first sample on; its inputs are only the "
-            "command, the supply and the declared loads."
-        )
-        yield f"Errors of angle are over all samples; errors of torque are {at}."
-
-
-def _band_lines(found: Simulation) -> Iterator[str]:
-    """Yield what the band of the torque holds, and where the recordings leave those of the fit."""
+def _remarks(found: Simulation) -> Iterator[str]:
+    """Yield what the band of the torque holds, where the recordings leave those of the fit, and
+    what is left out or not simulated.
+    """
     shares = {role: found.inside(role) for role in ("fit", "validate")}
     held = [f"{percent(100.0 * s)} ({role})" for role, s in shares.items() if s is not None]
     if held:
@@ -297,72 +312,56 @@ def _band_lines(found: Simulation) -> Iterator[str]:
         )
     for recording, band in zip(found.dataset.recordings, found.bands, strict=False):
         yield from (f"{recording.name}: {warning}" for warning in band.warnings)
-
-
-def _left_out(found: Simulation) -> list[str]:
-    """Return remarks on what is left out or not simulated."""
+    yield from found.short
     if not found.sums:
-        return [
-            *found.short,
+        yield (
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
-            "a campaign)",
-        ]
-    if found.model.effects:
-        return [
-            *found.short,
+            "a campaign)"
+        )
+    elif found.model.effects:
+        yield (
             "the closed loop is simulated without the effects; a simulated bench made from the "
-            "result contains the effects",
-        ]
-    return list(found.short)
+            "result contains the effects"
+        )
 
 
 def _errors_of_equations(found: Simulation) -> Table:
     """Return one row for each equation, with the effects of the model and without."""
-    rows = []
-    units = {"transmission": "mrad" if found.rotary else "um", "voltage": "V"}
-    small = 1e3 if found.rotary else 1e6
-    for one in found.predictions:
-        for equation in dict.fromkeys(p.equation for p in one.parts):
-            errors = [one.error(equation, role) for role in ("fit", "validate")]
-            scale = small if equation == "transmission" else 1.0
-            cells = (number(None if e is None else scale * e, 4) for e in errors)
-            effects = ", ".join(one.effects) or "none"
-            rows.append((effects, equation, *cells, units.get(equation, found.unit)))
-    header = ("effects", "equation", "rms, fit", "rms, validate", "unit")
-    return Table(header, tuple(rows), (2, 3))
+    shown = {"rad": ("mrad", 1e3), "m": ("um", 1e6)}
+
+    def scaled(row: Mapping[str, Any], key: str) -> str:
+        scale = shown.get(row["unit"], ("", 1.0))[1]
+        return number(None if row[key] is None else scale * row[key], 4)
+
+    return columns(
+        found.errors(),
+        (2, 3),
+        ("effects", lambda e: ", ".join(e["effects"]) or "none"),
+        ("equation", lambda e: e["equation"]),
+        ("rms, fit", lambda e: scaled(e, "rms")),
+        ("rms, validate", lambda e: scaled(e, "validate_rms")),
+        ("unit", lambda e: shown.get(e["unit"], (e["unit"],))[0]),
+    )
+
+
+def _error_columns(found: Simulation) -> Iterator[tuple[str, Callable[[Any], str]]]:
+    """Yield the columns of the errors of the closed loop, the first item of each row."""
+    force, angle, scale = "torque", "angle error (mrad)", 1e3
+    if not found.rotary:
+        force, angle, scale = "force", "position error (um)", 1e6
+    yield f"{force} error ({found.unit})", lambda row: number(row[0].torque_rms, 4)
+    yield "relative", lambda row: percent(100.0 * row[0].torque_relative)
+    yield angle, lambda row: number(scale * row[0].angle_rms, 4)
 
 
 def _pooled(found: Simulation) -> Table:
     """Return one row for each role."""
-    rows = [
-        (role, str(len(found.names(role))), *_cells(found, sums))
-        for role, sums in found.pooled().items()
-    ]
-    return Table(("role", "recordings", *_errors(found)), tuple(rows), (1, 2, 3, 4))
-
-
-def _of_recordings(found: Simulation) -> Table:
-    rows = tuple(
-        (r.name, r.role, *_cells(found, found.sums[r.name])) for r in found.dataset.recordings
-    )
-    return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
-
-
-def _errors(found: Simulation) -> tuple[str, str, str]:
-    rotary = found.rotary
-    return (
-        f"{'torque' if rotary else 'force'} error ({found.unit})",
-        "relative",
-        "angle error (mrad)" if rotary else "position error (um)",
-    )
-
-
-def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
-    scale = 1e3 if found.rotary else 1e6
-    return (
-        number(sums.torque_rms, 4),
-        percent(100.0 * sums.torque_relative),
-        number(scale * sums.angle_rms, 4),
+    return columns(
+        [(sums, role) for role, sums in found.pooled().items()],
+        (1, 2, 3, 4),
+        ("role", lambda row: row[1]),
+        ("recordings", lambda row: str(len(found.names(row[1])))),
+        *_error_columns(found),
     )
 
 
@@ -400,13 +399,21 @@ SIMULATE_SCHEMA = "loadrig.simulate/2"
 
 def simulation_record(found: Simulation) -> dict[str, Any]:
     """Return the record of ``rig simulate --json``."""
+
+    def errors(sums: Sums) -> dict[str, float]:
+        return {
+            "torque_rms": sums.torque_rms,
+            "torque_relative": sums.torque_relative,
+            "angle_rms": sums.angle_rms,
+        }
+
     return {
         **found.provenance.record(SIMULATE_SCHEMA),
         "result": str(found.file),
         "unit": found.unit,
         "angle_unit": "rad" if found.rotary else "m",
         "bandwidth_Hz": found.bandwidth_Hz,
-        "equations": _record_errors(found),
+        "equations": found.errors(),
         "band": {
             "inside": {role: found.inside(role) for role in ("fit", "validate")},
             "outside": {
@@ -415,33 +422,9 @@ def simulation_record(found: Simulation) -> dict[str, Any]:
             },
         },
         "closed_loop": {
-            **{role: _sums_record(sums) for role, sums in found.pooled().items()},
-            "recordings": {name: _sums_record(sums) for name, sums in found.sums.items()},
+            **{role: errors(sums) for role, sums in found.pooled().items()},
+            "recordings": {name: errors(sums) for name, sums in found.sums.items()},
         }
         if found.sums
         else None,
-    }
-
-
-def _record_errors(found: Simulation) -> list[dict[str, object]]:
-    """Return the prediction errors, one entry per equation, SI units."""
-    units = {"transmission": "rad" if found.rotary else "m", "voltage": "V"}
-    return [
-        {
-            "effects": list(one.effects),
-            "equation": equation,
-            "unit": units.get(equation, found.unit),
-            "rms": one.error(equation, "fit"),
-            "validate_rms": one.error(equation, "validate"),
-        }
-        for one in found.predictions
-        for equation in dict.fromkeys(p.equation for p in one.parts)
-    ]
-
-
-def _sums_record(sums: Sums) -> dict[str, float]:
-    return {
-        "torque_rms": sums.torque_rms,
-        "torque_relative": sums.torque_relative,
-        "angle_rms": sums.angle_rms,
     }

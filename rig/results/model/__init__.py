@@ -54,29 +54,18 @@ _COMPILE = ("-std=c99", "-O2")
 
 @dataclass(frozen=True)
 class Model:
-    """The model of a result file.
+    """The model of a result file."""
 
-    Attributes:
-        path: The result file.
-        name: Name in the exported files, an identifier.
-        corrected: Nominal parameters and effects.
-        bench: Constants of the bench.
-        machine: Equations; None without inertia, with which nothing can be simulated.
-        intervals: Name of a parameter, or ``effect.parameter``, to the ends of its interval.
-        ranges: Signal to its least and greatest value in the recordings.
-        notes: What the reader should know.
-        own: Whether the equations contain effects of one's own.
-    """
-
-    path: Path
-    name: str
-    corrected: CorrectedModel
-    bench: Bench
-    machine: Machine | None
+    path: Path  # the result file
+    name: str  # name in the exported files, an identifier
+    corrected: CorrectedModel  # nominal parameters and effects
+    bench: Bench  # constants of the bench
+    machine: Machine | None  # equations; None without inertia, with which nothing can be simulated
+    # Name of a parameter, or `effect.parameter`, to the ends of its interval.
     intervals: Mapping[str, tuple[float | None, float | None]]
-    ranges: Mapping[str, tuple[float, float]]
-    notes: tuple[str, ...]
-    own: bool = True
+    ranges: Mapping[str, tuple[float, float]]  # signal to its least and greatest value
+    notes: tuple[str, ...]  # what the reader should know
+    own: bool = True  # whether the equations contain effects of one's own
 
     def without(self, effect: str) -> Machine:
         """Return the equations without one effect."""
@@ -134,7 +123,9 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
             f"{path}: constants: the file lacks the constants of the bench, as an earlier version "
             "wrote it; repeat rig identify or rig diagnose"
         )
-    corrected = model_of(record, _recordings(record), str(path), own.catalogue)
+    named = (e["where"]["recordings"] for e in record.get("effects", ()))
+    recordings = list(dict.fromkeys(name for names in named for name in names))
+    corrected = model_of(record, recordings, str(path), own.catalogue)
     try:
         bench = Bench(motion=record["motion"], **constants)
     except (TypeError, KeyError) as error:
@@ -152,19 +143,12 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
     if corrected.parameters.get("J", 0.0) > 0.0:
         source = f"the model in {path.name} of {folder.name}"
         made = machine(name, corrected, bench, intervals, ranges, source)
-    undetermined = [
+    notes = tuple(
         f"{n}: the recordings do not determine this parameter; the fitted value is used"
         for n, entry in record.get("parameters", {}).items()
         if isinstance(entry, Mapping) and entry.get("value") is None and n in corrected.parameters
-    ]
-    notes = tuple(undetermined)
+    )
     return Model(path, name, corrected, bench, made, intervals, ranges, notes).checked()
-
-
-def _recordings(record: Mapping[str, Any]) -> list[str]:
-    """Return the names of the recordings that a result has in their order."""
-    named = (e["where"]["recordings"] for e in record.get("effects", ()))
-    return list(dict.fromkeys(name for names in named for name in names))
 
 
 def _intervals(record: Mapping[str, Any]) -> dict[str, tuple[float | None, float | None]]:
@@ -283,53 +267,38 @@ def _model_py(model: Model) -> str:
 def _yaml(model: Model) -> str:
     """Return parameters, constants and effects with units, intervals and ranges."""
 
-    def entry(value: float, unit: str, low: float | None, high: float | None) -> dict[str, Any]:
-        ends = {} if low is None or high is None else {"low": float(low), "high": float(high)}
-        return {"value": float(value), "unit": unit, **ends}
-
     m = model.machine or machine(
         model.name,
         replace(model.corrected, parameters={**model.corrected.parameters, "J": 1.0}),
         *(model.bench, model.intervals, model.ranges),
     )
-    known = {q.name: q for q in m.parameters}
-    parameters = {
-        name: entry(value, known[name].unit if name in known else "1", *_ends(model, name))
-        for name, value in model.corrected.parameters.items()
-    }
-    effects = {
-        name: {
-            key: entry(
-                value,
-                known[f"{name}_{key}"].unit if f"{name}_{key}" in known else "1",
-                *_ends(model, f"{name}.{key}"),
-            )
-            for key, value in given.items()
-        }
-        for name, given in model.corrected.effects.items()
-    }
-    constants = {
-        q.name: entry(q.value, q.unit, None, None)
-        for q in m.parameters
-        if q.words == "constant of the bench"
-    }
+    units = {q.name: q.unit for q in m.parameters}
+
+    def entry(key: str, value: float) -> dict[str, Any]:
+        low, high = model.intervals.get(key, (None, None))
+        ends = {} if low is None or high is None else {"low": float(low), "high": float(high)}
+        return {"value": float(value), "unit": units.get(key.replace(".", "_"), "1"), **ends}
+
     record = {
         "model": 2,
         "motion": model.bench.motion,
-        "parameters": parameters,
+        "parameters": {n: entry(n, value) for n, value in model.corrected.parameters.items()},
         "alpha": float(model.corrected.alpha),
-        "constants": constants,
-        "effects": effects,
+        "constants": {
+            q.name: {"value": float(q.value), "unit": q.unit}
+            for q in m.parameters
+            if q.words == "constant of the bench"
+        },
+        "effects": {
+            name: {key: entry(f"{name}.{key}", value) for key, value in given.items()}
+            for name, given in model.corrected.effects.items()
+        },
         "ranges": {n: [float(x) for x in ends] for n, ends in model.ranges.items()},
         "not_simulated": {left.name: left.reason for left in m.left_out},
     }
     return f"# {model.name}: SI units, at the joint after the gear.\n" + yaml.safe_dump(
         record, sort_keys=False
     )
-
-
-def _ends(model: Model, key: str) -> tuple[float | None, float | None]:
-    return model.intervals.get(key, (None, None))
 
 
 @dataclass(frozen=True)

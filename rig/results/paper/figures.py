@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from drivers.mock.plant import gas as gas_direct
-from drivers.mock.plant.gas import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, steady_pressure, throat_area
 from drivers.mock.plant.machine import SimulatedMachine
-from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
 from identification.estimate.equation_error import (
@@ -63,6 +61,21 @@ def columns(**named: Array) -> Rows:
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
+def _exhibit(
+    name: str,
+    title: str,
+    paper: str,
+    found: Sequence[str],
+    caption: str,
+    figure: regulator.Figure,
+    data: Rows,
+    table: Table | None = None,
+) -> Exhibit:
+    """Return an exhibit with one figure."""
+    pictures = (Picture.of(name, caption, figure),)
+    return Exhibit(name, title, paper, tuple(found), pictures, {name: data}, table)
+
+
 def _thinned(**named: Array) -> Rows:
     return columns(**{name: values[::_THIN] for name, values in named.items()})
 
@@ -70,7 +83,7 @@ def _thinned(**named: Array) -> Rows:
 def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
     """Return the numbers of every picture as CSV, by the file's name relative to the page."""
     return {
-        _data_file(name): _csv(rows)
+        _DATA_FILE.format(name): _csv(rows)
         for exhibit in exhibits
         for name, rows in (exhibit.data or {}).items()
     }
@@ -81,12 +94,8 @@ def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
     files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
         for name in exhibit.data or {}:
-            files.setdefault(name, []).append(_data_file(name))
+            files.setdefault(name, []).append(_DATA_FILE.format(name))
     return files
-
-
-def _data_file(name: str) -> str:
-    return f"data/{name}.csv"
 
 
 def _csv(rows: Rows) -> str:
@@ -111,6 +120,7 @@ def true_machine(name: str) -> Machine:
 RAMP_BENCH, RAMP_SEQUENCE = "practical_soft", "slow_ramp"
 _SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
 _THIN = 10  # the data files contain every tenth sample
+_DATA_FILE = "data/{}.csv"
 
 
 def ramp_exhibits(scratch: Path, seed: int) -> list[Exhibit]:
@@ -121,46 +131,34 @@ def ramp_exhibits(scratch: Path, seed: int) -> list[Exhibit]:
     first, time = ramps[0], _time(ramps[0])
     command, angle = first.channels["command"], first.channels["angle"]
     commanded = np.gradient(command, first.period)
-    fig_2 = Exhibit(
+    fig_2 = _exhibit(
         "fig_2",
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",
         "Angle against time while the regulator follows a low-speed ramp, gas generator not "
-        "working: the valve waits, "
-        "jumps and waits, and comes to rest with an error. The paper gives no speed and no gains.",
-        (_words(f"{ramp}, no weight", track(first)),),
-        (
-            Picture.of(
-                "fig_2",
-                f"Fig. 2: {ramp}, no weight",
-                regulator.tracking(time, command, angle, tracking_error(first)),
-            ),
+        "working: the valve waits, jumps and waits, and comes to rest with an error. The paper "
+        "gives no speed and no gains.",
+        [_words(f"{ramp}, no weight", track(first))],
+        f"Fig. 2: {ramp}, no weight",
+        regulator.tracking(time, command, angle, tracking_error(first)),
+        _thinned(
+            time_s=time,
+            command_rad=command,
+            angle_rad=angle,
+            current_A=first.channels["current"],
         ),
-        {
-            "fig_2": _thinned(
-                time_s=time,
-                command_rad=command,
-                angle_rad=angle,
-                current_A=first.channels["current"],
-            )
-        },
     )
     named = dict(zip(("no weight", "30.6 kg (3000 N)"), ramps, strict=True))
     panels = [(name, _time(each), commanded, _speed(each)) for name, each in named.items()]
     speeds = {f"{each.stage}_rad_s": _speed(each) for each in ramps}
-    fig_9 = Exhibit(
+    fig_9 = _exhibit(
         "fig_9",
         "Fig. 9: a position loop that should turn uniformly",
         "The regulator is commanded to move uniformly, but sticks and slips. For this reason the "
         "paper regards the conventional identification (eq. 14) as impossible for this regulator.",
-        tuple(_words(name, track(each)) for name, each in named.items()),
-        (
-            Picture.of(
-                "fig_9",
-                "Fig. 9: joint speed on the same ramp, mean over 20 ms",
-                regulator.speeds(panels),
-            ),
-        ),
-        {"fig_9": _thinned(time_s=time, command_rad_s=commanded, **speeds)},
+        [_words(name, track(each)) for name, each in named.items()],
+        "Fig. 9: joint speed on the same ramp, mean over 20 ms",
+        regulator.speeds(panels),
+        _thinned(time_s=time, command_rad_s=commanded, **speeds),
     )
     return [fig_2, fig_9]
 
@@ -235,58 +233,52 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
 
 def uniform_exhibit(study: UniformStudy) -> Exhibit:
     """Return the points with the true friction, and a Stribeck curve fitted to them."""
+    stiff, soft = study.points["stiff"], study.points["soft"]
     sets = {
-        "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
-        "stiff gains, all points": study.points["stiff"],
-        "stiff gains, uniform points": [p for p in study.points["stiff"] if p.uniform],
-        "soft gains, all points": study.points["soft"],
-        "soft gains, uniform points": [p for p in study.points["soft"] if p.uniform],
+        "stiff gains, no weight": [p for p in stiff if not p.moment],
+        "stiff gains, all points": stiff,
+        "stiff gains, uniform points": [p for p in stiff if p.uniform],
+        "soft gains, all points": soft,
+        "soft gains, uniform points": [p for p in soft if p.uniform],
     }
     fits = {name: fit_uniform(points) for name, points in sets.items()}
-    return Exhibit(
+    lines = []
+    for gains, points in study.points.items():
+        loaded = [p.uniform for p in points if p.moment > 0.0]
+        bare = [p.uniform for p in points if not p.moment > 0.0]
+        lines.append(
+            f"{gains.capitalize()} gains: the motion was uniform in {sum(bare)} of {len(bare)} "
+            f"intervals without weight, in {sum(loaded)} of {len(loaded)} under 3000 N."
+        )
+    titles = ("gains", "stage", "speed_rad_s", "mean_torque_N_m", "spread", "contact_moment_N_m")
+    data = [
+        (gains, p.recording, p.speed, p.torque, p.spread, p.moment)
+        for gains, points in study.points.items()
+        for p in points
+    ]
+    return _exhibit(
         "eq_14",
         "Eq. 14: the conventional method, friction from uniform motion",
         "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the "
         "friction. The paper calls this method almost impossible for the regulator, because "
         "stick-slip prevents uniform motion; the paper gives no figures.",
-        tuple(_uniform_words(gains, study.points[gains]) for gains in study.points)
-        + _verdict(fits, study.truth),
-        (
-            Picture.of(
-                "eq_14",
-                f"Eq. 14: mean torque against commanded speed; hollow points: the speed varies by "
-                f"more than {UNIFORM:.0%}",
-                _figure(study),
-            ),
-        ),
-        {"eq_14": _uniform_data(study)},
+        (*lines, *_verdict(fits, study.truth)),
+        f"Eq. 14: mean torque against commanded speed; hollow points: the speed varies by more "
+        f"than {UNIFORM:.0%}",
+        _figure(study),
+        (titles, data),
         _uniform_table(fits, study.truth),
     )
 
 
-def _uniform_words(gains: str, points: Sequence[UniformPoint]) -> str:
-    def count(loaded: bool) -> str:
-        chosen = [p for p in points if (p.moment > 0.0) is loaded]
-        return f"{sum(p.uniform for p in chosen)} of {len(chosen)}"
-
-    return (
-        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} intervals without "
-        f"weight, in {count(True)} under 3000 N."
-    )
-
-
-def _verdict(
-    fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]
-) -> tuple[str, ...]:
-    lines = []
+def _verdict(fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]) -> Iterator[str]:
     for name, found in fits.items():
         if not found:
-            lines.append(f"{name.capitalize()}: too few points for a Stribeck curve.")
+            yield f"{name.capitalize()}: too few points for a Stribeck curve."
             continue
         errors = errors_percent(found, truth)
         worst = max(errors, key=lambda key: abs(errors[key]))
-        lines.append(f"{name.capitalize()}: worst parameter {worst}, {errors[worst]:+.3g} %.")
-    return tuple(lines)
+        yield f"{name.capitalize()}: worst parameter {worst}, {errors[worst]:+.3g} %."
 
 
 def _uniform_table(fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]) -> Table:
@@ -325,37 +317,12 @@ def _figure(study: UniformStudy) -> regulator.Figure:
     return regulator.uniform(speed, panels)
 
 
-def _uniform_data(study: UniformStudy) -> Rows:
-    titles = ("gains", "stage", "speed_rad_s", "mean_torque_N_m", "spread", "contact_moment_N_m")
-    return titles, [
-        (gains, p.recording, p.speed, p.torque, p.spread, p.moment)
-        for gains, points in study.points.items()
-        for p in points
-    ]
-
-
 LOOP_BENCH, LOOP_SEQUENCE, LOOP_STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02  # relative deviation from the commanded flow up to which a flow counts as settled
-_SMOOTHING_S = (
-    0.05  # settling is judged on means over this time, so that sensor noise has little influence
-)
+_SMOOTHING_S = 0.05  # time of the means on which settling is judged, because of the sensor noise, s
 
 
-@dataclass(frozen=True)
-class Firing:
-    """The closed-loop stage of a hot firing; each array of shape (n,)."""
-
-    flow: FlowSection  # flow command of the stage
-    period: float  # sampling period, s
-    time: Array  # time since the start of the stage, s
-    flows: tuple[Array, Array]  # commanded flow, and flow computed from pressure and angle, kg/s
-    pressures: tuple[Array, Array]  # commanded and measured pressure, Pa
-    angles: tuple[Array, Array]  # commanded and measured valve angle, rad
-    current: Array  # motor current, A
-    force: Array  # contact force, N
-
-
-def fire(scratch: Path, seed: int) -> Firing:
+def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
     """Run the packaged hot firing and return its closed-loop stage."""
     bench, sequence = load_bench(LOOP_BENCH), load_sequence(LOOP_SEQUENCE)
     dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
@@ -364,91 +331,60 @@ def fire(scratch: Path, seed: int) -> Firing:
     generator = nominal_generator(bench.value)
     if flow is None or generator is None:
         raise ValueError(f"{LOOP_SEQUENCE} has no flow command, or {LOOP_BENCH} no gas generator")
-    machine = true_machine(LOOP_BENCH)
-    time = recording.time - recording.time[0]
+    machine, channels = true_machine(LOOP_BENCH), recording.channels
+    time, current = _time(recording), channels["current"]
     commanded = flow.command(len(time) * recording.period, recording.period)[: len(time)]
-    angle, pressure = recording.channels["angle"], recording.channels["pressure"]
-    gas = machine.gas
+    angle, pressure = channels["angle"], channels["pressure"]
+    gas, asked = machine.gas, pressure_for(commanded, generator)
+    # The flow computed from pressure and angle, kg/s, and the contact force, N.
     outflow = pressure * throat_area(machine, angle) / gas.characteristic_velocity_m_s
-    return Firing(
-        flow,
-        recording.period,
-        time,
-        (commanded, outflow),
-        (pressure_for(commanded, generator), pressure),
-        (recording.channels["command"], angle),
-        recording.channels["current"],
-        (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle),
-    )
-
-
-def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
-    """Run the packaged hot firing and return its closed-loop stage."""
-    found = fire(scratch, seed)
-    caption = (
-        "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
-        "pressure and angle"
-    )
-    return Exhibit(
+    force = (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle)
+    before = current[(time >= 1.0) & (time < flow.steps[1].at_s)]
+    return _exhibit(
         "fig_11",
         "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
         "Block diagrams of the loop, in which pressure and valve angle determine the load on the "
-        "motor, and "
-        "the angle determines the pressure. The paper gives no controller and no response.",
+        "motor, and the angle determines the pressure. The paper gives no controller and no "
+        "response.",
         (
             f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
             "through the whole simulated chain, pressure measured by a transmitter.",
-            _settling(found),
+            _settling(flow, recording.period, time, outflow),
             "The flow first changes in the wrong direction: when the throat opens, more gas flows "
-            "out until the pressure falls. " + _hunting(found),
-            f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, which varies "
+            "out until the pressure falls. Before the first step, at steady flow, the current "
+            f"swings from {np.min(before):+.1f} to {np.max(before):+.1f} A: the integrators of the "
+            "loop hunt across static friction, one of the limit cycles of which the paper warns.",
+            f"Contact force {np.min(force):.0f} to {np.max(force):.0f} N, which varies "
             "only with pressure and angle; the motor current that holds and moves the valve "
-            f"against its friction reaches {np.max(np.abs(found.current)):.1f} A.",
+            f"against its friction reaches {np.max(np.abs(current)):.1f} A.",
         ),
-        (Picture.of("fig_11", caption, _loop_figure(found)),),
-        {
-            "fig_11": _thinned(
-                time_s=found.time,
-                flow_command_kg_s=found.flows[0],
-                flow_kg_s=found.flows[1],
-                pressure_command_Pa=found.pressures[0],
-                pressure_Pa=found.pressures[1],
-                angle_command_rad=found.angles[0],
-                angle_rad=found.angles[1],
-                current_A=found.current,
-                contact_force_N=found.force,
-            )
-        },
+        "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
+        "pressure and angle",
+        regulator.closed_loop(
+            time,
+            {"command": commanded, "flow": outflow},
+            {"command": 1e-6 * asked, "measured": 1e-6 * pressure},
+            {"command": channels["command"], "measured": angle},
+            current,
+            force,
+        ),
+        _thinned(
+            time_s=time,
+            flow_command_kg_s=commanded,
+            flow_kg_s=outflow,
+            pressure_command_Pa=asked,
+            pressure_Pa=pressure,
+            angle_command_rad=channels["command"],
+            angle_rad=angle,
+            current_A=current,
+            contact_force_N=force,
+        ),
     )
 
 
-def _loop_figure(found: Firing) -> regulator.Figure:
-    asked, pressure = (1e-6 * signal for signal in found.pressures)
-    return regulator.closed_loop(
-        found.time,
-        dict(zip(("command", "flow"), found.flows, strict=True)),
-        {"command": asked, "measured": pressure},
-        dict(zip(("command", "measured"), found.angles, strict=True)),
-        found.current,
-        found.force,
-    )
-
-
-def _hunting(found: Firing) -> str:
-    """Return text on the current oscillation at steady flow, before the first step."""
-    time = found.time
-    before = found.current[(time >= 1.0) & (time < found.flow.steps[1].at_s)]
-    return (
-        f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
-        f"{np.max(before):+.1f} A: the integrators of the loop hunt across static friction, one of "
-        "the limit cycles of which the paper warns."
-    )
-
-
-def _settling(found: Firing) -> str:
+def _settling(flow: FlowSection, period: float, time: Array, outflow: Array) -> str:
     """Return text on the settling time of each step."""
-    flow, time, (_, outflow) = found.flow, found.time, found.flows
-    n = max(1, round(_SMOOTHING_S / found.period))
+    n = max(1, round(_SMOOTHING_S / period))
     smooth = np.convolve(
         np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid"
     )
@@ -460,7 +396,7 @@ def _settling(found: Firing) -> str:
         if off.size and off[-1] + 1 == np.count_nonzero(part):
             took = "not before the next step"
         else:
-            took = f"{(off[-1] + 1) * found.period if off.size else 0.0:.2f} s"
+            took = f"{(off[-1] + 1) * period if off.size else 0.0:.2f} s"
         words.append(f"{before.flow_kg_s:g} to {step.flow_kg_s:g} kg/s {took}")
     return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."
 
@@ -514,7 +450,7 @@ class Sweep:
         return rows
 
 
-def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
+def sweep(machine: Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
     """Open the valve of a burning gas generator from 0 to 30 deg at constant speed."""
     noise, transmitter = np.random.default_rng(seed).spawn(2)
     plant = SimulatedMachine(machine, noise)
@@ -526,7 +462,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64
     )
     samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
-    area = gas_direct.impacted_area(machine, samples.angle)
+    area = impacted_area(machine, samples.angle)
     wanted = math.radians(speed_deg_s)
     width = round(SMOOTHING_S / CYCLE_S)
     kernel = np.ones(width) / width
@@ -550,7 +486,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         samples.current,
         samples.pressure,
         area,
-        gas_direct.steady_pressure(machine, samples.angle),
+        steady_pressure(machine, samples.angle),
         uniform,
         *ranks,
     )
@@ -563,32 +499,36 @@ def sweep_exhibit(seed: int) -> Exhibit:
     """Return Fig. 4 at the paper's speed, and where the pressure follows the throat area."""
     machine = true_machine("practical_hot")
     sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
+    lines, curves = [], []
+    for found in sweeps:
+        (_, current, pressure, area), (_, *last) = found.at(_ENDS_DEG)
+        lines.append(
+            f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
+            f"current falls from {current:.2f} to {last[0]:.2f} A, the pressure from "
+            f"{pressure:.2f} to {last[1]:.2f} MPa, the area from {area:.0f} to {last[2]:.0f} "
+            f"mm^2. Rank correlation of the current with the pressure {found.rank_pressure:.3f}, "
+            f"with the area {found.rank_area:.3f}. The pressure stays up to "
+            f"{100.0 * found.lag:.0f} % above the steady pressure."
+        )
+        curves.append(
+            (
+                f"{found.speed_deg_s:g} deg/s",
+                np.rad2deg(found.angle),
+                np.where(found.uniform, found.current, np.nan),
+                1e-6 * found.pressure,
+                1e-6 * found.steady_pressure,
+                1e6 * found.area,
+            )
+        )
+    caption = "Fig. 4: an opening valve, at the speed of the paper and slowly"
     return Exhibit(
         "fig_4",
         "Fig. 4: the motor's current falls with pressure and impacted area",
         "The valve turns from 0 to 30 deg at 50 deg/s under a stable pressure; the curve of the "
-        "current falls as the "
-        "pressure and the impacted area fall. The text gives no values of the curve.",
-        tuple(_loop_words(found) for found in sweeps),
-        (
-            Picture.of(
-                "fig_4",
-                "Fig. 4: an opening valve, at the speed of the paper and slowly",
-                regulator.sweep(
-                    [
-                        (
-                            f"{found.speed_deg_s:g} deg/s",
-                            np.rad2deg(found.angle),
-                            np.where(found.uniform, found.current, np.nan),
-                            1e-6 * found.pressure,
-                            1e-6 * found.steady_pressure,
-                            1e6 * found.area,
-                        )
-                        for found in sweeps
-                    ]
-                ),
-            ),
-        ),
+        "current falls as the pressure and the impacted area fall. The text gives no values of the "
+        "curve.",
+        tuple(lines),
+        (Picture.of("fig_4", caption, regulator.sweep(curves)),),
         {
             name: columns(
                 time_s=found.time,
@@ -601,18 +541,6 @@ def sweep_exhibit(seed: int) -> Exhibit:
             )
             for name, found in zip(("fig_4", "fig_4_slow"), sweeps, strict=True)
         },
-    )
-
-
-def _loop_words(found: Sweep) -> str:
-    (_, current, pressure, area), (_, last_current, last_pressure, last_area) = found.at(_ENDS_DEG)
-    return (
-        f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
-        f"current falls from {current:.2f} to {last_current:.2f} A, the pressure from "
-        f"{pressure:.2f} to {last_pressure:.2f} MPa, the area from {area:.0f} to {last_area:.0f} "
-        f"mm^2. Rank correlation of the current with the pressure {found.rank_pressure:.3f}, with "
-        f"the area {found.rank_area:.3f}. The pressure stays up to {100.0 * found.lag:.0f} % above "
-        "the steady pressure."
     )
 
 
@@ -635,23 +563,18 @@ def valve_exhibit() -> Exhibit:
     throat, impacted = throat_area(machine, angle), impacted_area(machine, angle)
     total = 0.25 * math.pi * machine.gas.valve.opening_diameter_m**2
     clear = clear_deg(machine)
-    return Exhibit(
+    return _exhibit(
         "fig_3",
         "Fig. 3: impacted and effective throat area",
         "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; "
         "the greatest throat is the sum of both areas; the valve turns from 0 to 30 deg. The "
         "paper announces the curve of the throat area, but does not print this curve.",
-        (
+        [
             f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate has "
             f"left the opening at {clear:.2f} deg, by the paper at 30 deg; A_s + A_t = "
-            f"{total:.5g} m^2 at every angle.",
-        ),
-        (
-            Picture.of(
-                "fig_3",
-                "Fig. 3: areas against the valve angle",
-                regulator.areas(angle_deg, impacted, throat, clear),
-            ),
-        ),
-        {"fig_3": columns(angle_deg=angle_deg, impacted_area_m2=impacted, throat_area_m2=throat)},
+            f"{total:.5g} m^2 at every angle."
+        ],
+        "Fig. 3: areas against the valve angle",
+        regulator.areas(angle_deg, impacted, throat, clear),
+        columns(angle_deg=angle_deg, impacted_area_m2=impacted, throat_area_m2=throat),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ import numpy as np
 
 from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
-from identification.numerics.arrays import finite
+from identification.numerics.arrays import Progress, finite
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.fit import spread
 from identification.recording import Array, Bench, Dataset, Recording
-from identification.result import Convergence, Identification
+from identification.result import Identification
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
 from rig.config.bench import load_bench
@@ -37,7 +37,7 @@ from rig.results.document import (
 )
 from rig.results.identify.identify import METHODS
 from rig.results.paper import figures
-from rig.results.paper.figures import Exhibit, Rows, columns, files_of, true_machine
+from rig.results.paper.figures import Exhibit, columns, files_of, true_machine
 from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import bench_constants
 
@@ -115,7 +115,7 @@ class Reproduction:
         return [seed for seed, error in worst.items() if error > WRONG_BASIN_PERCENT]
 
 
-def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
+def reproduce(seeds: Sequence[int], progress: Progress) -> Reproduction:
     """Simulate the literal bench without noise, and identify it by both methods per seed."""
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
@@ -131,11 +131,7 @@ def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> R
 
 def simulate_cases() -> tuple[Dataset, dict[str, float]]:
     """Return Case 1 and 2 on the literal bench as recordings, and the true parameters."""
-    bench = load_bench("literal").value
-    machine = bench.mock
-    if machine is None:
-        raise ValueError("the packaged bench 'literal' has no simulated machine")
-    constants = bench_constants(bench)
+    machine, constants = true_machine("literal"), bench_constants(load_bench("literal").value)
     cases = (
         _case(machine, constants, "Case 1", 0.0),
         _case(machine, constants, "Case 2", CONTACT_FORCE_N),
@@ -222,11 +218,16 @@ def remarks(found: Reproduction) -> list[str]:
                 f"{method} method: J is not identifiable for {len(withheld)} of {len(runs)} seeds: "
                 f"{withheld[0].parameters['J'].reason}."
             )
-        lines += [
-            f"{method} method, {stage}: target {target:g} reached by {reached} of {len(runs)} "
-            f"seeds; median cost {number(cost, 3)} {unit} after {generations:.0f} generations."
-            for stage, target, reached, cost, unit, generations in _searches(found, method)
-        ]
+        for same in zip(*(result.stages for result in runs.values()), strict=True):
+            first, reached = same[0], sum(bool(s.reached) for s in same)
+            if first.target is not None:
+                cost = statistics.median(s.cost for s in same)
+                generations = statistics.median(s.generations for s in same)
+                lines.append(
+                    f"{method} method, {first.stage}: target {first.target:g} reached by {reached} "
+                    f"of {len(runs)} seeds; median cost {number(cost, 3)} {first.cost_unit} after "
+                    f"{generations:.0f} generations."
+                )
     return lines
 
 
@@ -253,24 +254,24 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
             torque_N_m=trace.torque[few],
             torque_model_N_m=trace.torque_model[few],
         )
-        data = {fig: _history(first.stages[k]), response: signal}
+        stage = first.stages[k]
+        costs = np.array([stage.cost]) if stage.cost_history is None else stage.cost_history
+        generation, history = np.arange(1.0, len(costs) + 1.0), dict(stage.parameter_history)
+        search = columns(generation=generation, fitness=costs, **history)
+        data = {fig: search, response: signal}
         said = (*_worst(found, list(_TITLES[title])), *(remarks(found) if k == 0 else ()))
         made.append(Exhibit(f"table_{k + 1}", title, _PAPER[k], said, tuple(pictures), data, table))
     made.append(_over_seeds(found))
     return made
 
 
-def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return the worst parameter of each method in a table but J, whose errors are separate."""
-    lines = []
+def _worst(found: Reproduction, names: Sequence[str]) -> Iterator[str]:
+    """Yield the worst parameter of each method in a table but J, whose errors are separate."""
     for method, runs in found.runs.items():
         errors = {name: max(found.errors(method, name).values()) for name in names if name != "J"}
         worst = max(errors, key=lambda name: errors[name])
-        lines.append(
-            f"{method} method, worst of {len(runs)} seeds: {worst} by "
-            f"{percent(finite(errors[worst]))}."
-        )
-    return lines
+        off = percent(finite(errors[worst]))
+        yield f"{method} method, worst of {len(runs)} seeds: {worst} by {off}."
 
 
 def _over_seeds(found: Reproduction) -> Exhibit:
@@ -314,12 +315,6 @@ def _over_seeds(found: Reproduction) -> Exhibit:
     )
 
 
-def _history(stage: Convergence) -> Rows:
-    costs = stage.cost_history if stage.cost_history is not None else np.array([stage.cost])
-    named = dict(stage.parameter_history)
-    return columns(generation=np.arange(1.0, len(costs) + 1.0), fitness=costs, **named)
-
-
 def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
     cells = [
         name,
@@ -337,28 +332,6 @@ def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
             percent(finite(statistics.median(errors.values()))),
         ]
     return tuple(cells)
-
-
-def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:
-    """Return stage, target, seeds that reached it, median cost, unit, median generations."""
-    runs = list(found.runs[method].values())
-    out = []
-    for k, stage in enumerate(runs[0].stages):
-        if stage.target is not None:
-            stages = [result.stages[k] for result in runs]
-            cost = statistics.median(s.cost for s in stages)
-            generations = statistics.median(s.generations for s in stages)
-            out.append(
-                (
-                    stage.stage,
-                    stage.target,
-                    sum(bool(s.reached) for s in stages),
-                    cost,
-                    stage.cost_unit,
-                    generations,
-                )
-            )
-    return out
 
 
 def chosen() -> list[str]:
@@ -486,7 +459,7 @@ def _listed(lines: Sequence[str]) -> Items:
     return Items(tuple(("", line) for line in lines))
 
 
-def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
+def study(seed: int, progress: Progress) -> list[Exhibit]:
     """Make the runs and draw all figures except those of the tables, in the order of the paper."""
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)

@@ -63,15 +63,12 @@ SETTINGS: Mapping[str, Any] = {
 class DaskCluster:
     """Engine of the workers of a dask scheduler, which need not share files with this process."""
 
+    shares_files = False  # workers may be on other machines
+
     def __init__(self, client: Any, where: str) -> None:
         """Use a connected client."""
         self._client = client
         self._where = where
-
-    @property
-    def shares_files(self) -> bool:
-        """Return False: workers may be on other machines."""
-        return False
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
         """Yield results as they arrive; see :class:`rig.results.prove.engine.Engine`."""
@@ -98,11 +95,9 @@ class DaskCluster:
         without = 0
         while without < IDLE:
             try:
-                with self._client.as_current():
+                with self._asking(), self._client.as_current():
                     done: set[Any] = distributed.wait(waiting, WAIT_S, "FIRST_COMPLETED").done
                 return done
-            except self._lost as error:
-                raise self._gone() from error
             except TimeoutError:
                 # A worker that died needs time to start again.
                 without = 0 if self._workers() else without + 1
@@ -112,30 +107,32 @@ class DaskCluster:
         )
 
     def _workers(self) -> int:
-        try:
+        with self._asking():
             return len(self._client.scheduler_info(n_workers=-1)["workers"])
-        except self._lost as error:
-            raise self._gone() from error
 
     @property
     def _lost(self) -> tuple[type[BaseException], ...]:
         """Errors of a client whose scheduler is gone."""
         return distributed.CancelledError, distributed.comm.CommClosedError
 
-    def _gone(self) -> InputError:
-        return InputError(
-            f"{self._where}: the scheduler is gone; all finished work is kept: start the "
-            f"scheduler again and repeat the command with this --out"
-        )
+    @contextmanager
+    def _asking(self) -> Iterator[None]:
+        """Turn the error of a scheduler that is gone into what it means to the user."""
+        try:
+            yield
+        except self._lost as error:
+            raise InputError(
+                f"{self._where}: the scheduler is gone; all finished work is kept: start the "
+                f"scheduler again and repeat the command with this --out"
+            ) from error
 
     def _result(self, future: Any) -> Any:
         """Return the result of a finished task, or raise what its failure means to the user."""
         try:
-            return future.result()
+            with self._asking():
+                return future.result()
         except distributed.scheduler.KilledWorker as error:
             raise died(f"{self._where}: {DEATHS} workers died on one task") from error
-        except self._lost as error:
-            raise self._gone() from error
         except ModuleNotFoundError as error:
             raise InputError(
                 f"{self._where}: a worker cannot import {error.name}; install this version of "

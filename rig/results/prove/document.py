@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
-from rig.results.document import Document, Note, Section, Table, provenance_section
+from rig.results.document import Document, Note, Section, Table, columns, provenance_section
 from rig.results.prove.score import STRONG
 
 _RATES = {
@@ -35,38 +35,81 @@ _PLACES = {
 
 def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
     """Return a proof as a document, from the record of its result file."""
+    rates = shares("what", result, _RATES)
+    places = shares("mismatch located", result["location"], _PLACES)
+    reliability = columns(
+        result["reliability"],
+        (1, 2, 3, 4),
+        ("confidence of a name", lambda b: f"{b['from']:.1f} to {b['to']:.1f}"),
+        ("mean", lambda b: f"{b['mean_confidence']:.2f}"),
+        ("right", lambda b: _share(b["right"])[0]),
+        ("share", lambda b: _share(b["right"])[1]),
+        ("95 % interval", lambda b: _share(b["right"])[2]),
+    )
+    wrong = columns(
+        result["wrong_names"],
+        (2,),
+        ("trial", lambda n: str(n["rig"])),
+        ("wrong name", lambda n: n["name"]),
+        ("confidence", lambda n: f"{n['confidence']:.2f}"),
+        ("injected", lambda n: ", ".join(n["injected"]) or "nothing"),
+        ("in alias group", lambda n: "yes" if n["right_group"] else "no"),
+    )
+    refused = columns(
+        [r for r in result["rigs"] if r.get("refused")],
+        (),
+        ("trial", lambda r: str(r["rig"])),
+        ("not diagnosed, because", lambda r: r["refused"]),
+    )
+    confusion = columns(
+        result["confusion"].items(),
+        (),
+        ("injected", lambda row: row[0]),
+        ("named first", lambda row: ", ".join(f"{name} {n}" for name, n in row[1].items())),
+    )
+    axes = columns(
+        [(axis, part) for axis, parts in result["by_axis"].items() for part in parts],
+        (2, 3, 4, 5),
+        ("axis", lambda p: p[0]),
+        ("value", lambda p: p[1]["value"]),
+        ("verdict right", lambda p: _share(p[1]["right"])[0]),
+        ("share", lambda p: _share(p[1]["right"])[1]),
+        ("95 % interval", lambda p: _share(p[1]["right"])[2]),
+        ("not diagnosed", lambda p: str(p[1]["refused"])),
+    )
+    rigs = columns(
+        result["rigs"],
+        (0, 2, 3),
+        ("trial", lambda r: str(r["rig"])),
+        ("injected", lambda r: ", ".join(r["effects"]) or "-"),
+        ("strength", lambda r: number(r["strength"], 3)),
+        ("remaining", lambda r: number(r["left"], 3)),
+        ("verdict", lambda r: r["verdict"]),
+        ("named", lambda r: _named(r["named"]) or "-"),
+        ("SHA-256", lambda r: r["sha256"][:12]),
+    )
+    remarks = Section("", tuple(map(Note, _remarks(result))))
+    shown = [table for table in (rates, places, reliability, wrong, refused) if table.rows]
     return Document(
         "The blind proof",
         f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
-        tuple(_summary(result)),
-        tuple(_sections(result, provenance)),
+        (*(Section("", (table,)) for table in shown), remarks),
+        (
+            remarks,
+            Section("Rates", (rates,)),
+            Section("Location of the mismatch", (places,)),
+            Section("Injected and named effects", (confusion,)),
+            Section("Confidence and share of right names", (reliability,)),
+            Section("Wrong names, and trials not diagnosed", (wrong, refused)),
+            *([Section("By the world's axes", (axes,))] if result["by_axis"] else []),
+            Section("Rigs", (rigs,)),
+            provenance_section(provenance),
+        ),
     )
 
 
-def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
-    for cells in (
-        _rates(result),
-        _places(result),
-        _reliability(result),
-        _wrong(result),
-        _refused(result),
-    ):
-        if cells.rows:
-            yield Section("", (cells,))
-    yield Section("", tuple(map(Note, _remarks(result))))
-
-
-def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Section]:
-    yield Section("", tuple(map(Note, _remarks(result))))
-    yield Section("Rates", (_rates(result),))
-    yield Section("Location of the mismatch", (_places(result),))
-    yield Section("Injected and named effects", (_confusion(result),))
-    yield Section("Confidence and share of right names", (_reliability(result),))
-    yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
-    if result["by_axis"]:
-        yield Section("By the world's axes", (_axes(result),))
-    yield Section("Rigs", (_rigs(result),))
-    yield provenance_section(provenance)
+def _named(effects: Sequence[Mapping[str, Any]]) -> str:
+    return ", ".join(f"{e['name']} ({e['confidence']:.2f})" for e in effects)
 
 
 def shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Table:
@@ -75,61 +118,10 @@ def shares(title: str, rates: Mapping[str, Any], words: Mapping[str, str]) -> Ta
     return Table((title, "trials", "share", "95 % interval"), rows, (1, 2, 3))
 
 
-def _rates(result: Mapping[str, Any]) -> Table:
-    return shares("what", result, _RATES)
-
-
-def _places(result: Mapping[str, Any]) -> Table:
-    return shares("mismatch located", result["location"], _PLACES)
-
-
 def _share(found: Mapping[str, Any], digits: int = 0) -> tuple[str, str, str]:
     """Return a rate's hits, share and interval as cells."""
     share, low, high = (f"{100 * found[key]:.{digits}f}" for key in ("share", "low", "high"))
     return f"{found['n']} of {found['of']}", f"{share} %", f"{low} to {high} %"
-
-
-def _reliability(result: Mapping[str, Any]) -> Table:
-    """Return the share of right names for each band of confidence."""
-    rows = tuple(
-        (f"{b['from']:.1f} to {b['to']:.1f}", f"{b['mean_confidence']:.2f}", *_share(b["right"]))
-        for b in result["reliability"]
-    )
-    return Table(
-        ("confidence of a name", "mean", "right", "share", "95 % interval"), rows, (1, 2, 3, 4)
-    )
-
-
-def _wrong(result: Mapping[str, Any]) -> Table:
-    """Return every wrong name."""
-    rows = tuple(
-        (
-            str(n["rig"]),
-            n["name"],
-            f"{n['confidence']:.2f}",
-            ", ".join(n["injected"]) or "nothing",
-            "yes" if n["right_group"] else "no",
-        )
-        for n in result["wrong_names"]
-    )
-    return Table(("trial", "wrong name", "confidence", "injected", "in alias group"), rows, (2,))
-
-
-def _refused(result: Mapping[str, Any]) -> Table:
-    """Return the trials that could not be diagnosed."""
-    rows = tuple((str(r["rig"]), r["refused"]) for r in result["rigs"] if r.get("refused"))
-    return Table(("trial", "not diagnosed, because"), rows, ())
-
-
-def _axes(result: Mapping[str, Any]) -> Table:
-    """Return the share of right verdicts for each axis of the world."""
-    rows = tuple(
-        (axis, part["value"], *_share(part["right"]), str(part["refused"]))
-        for axis, parts in result["by_axis"].items()
-        for part in parts
-    )
-    head = ("axis", "value", "verdict right", "share", "95 % interval", "not diagnosed")
-    return Table(head, rows, (2, 3, 4, 5))
 
 
 def _remarks(result: Mapping[str, Any]) -> list[str]:
@@ -162,31 +154,3 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
             f"trials {', '.join(map(str, result['absorbed']))}."
         )
     return lines
-
-
-def _confusion(result: Mapping[str, Any]) -> Table:
-    rows = tuple(
-        (name, ", ".join(f"{given} {times}" for given, times in row.items()))
-        for name, row in result["confusion"].items()
-    )
-    return Table(("injected", "named first"), rows, ())
-
-
-def _rigs(result: Mapping[str, Any]) -> Table:
-    rows = tuple(
-        (
-            str(row["rig"]),
-            ", ".join(row["effects"]) or "-",
-            number(row["strength"], 3),
-            "-" if row["left"] is None else number(row["left"], 3),
-            row["verdict"],
-            ", ".join(f"{e['name']} ({e['confidence']:.2f})" for e in row["named"]) or "-",
-            row["sha256"][:12],
-        )
-        for row in result["rigs"]
-    )
-    return Table(
-        ("trial", "injected", "strength", "remaining", "verdict", "named", "SHA-256"),
-        rows,
-        (0, 2, 3),
-    )

@@ -22,9 +22,7 @@ def log(low: float, high: float) -> Draw:
 
 def either(low: float, high: float) -> Draw:
     """Draw log-uniformly with a random sign."""
-    return lambda rng: float(
-        math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
-    )
+    return lambda rng: log(low, high)(rng) * float(rng.choice((-1.0, 1.0)))
 
 
 def even(low: float, high: float) -> Draw:
@@ -39,9 +37,7 @@ def one_of(*values: float) -> Draw:
 
 def away_from(center: float, low: float, high: float) -> Draw:
     """Draw ``center`` plus or minus a log-uniform value."""
-    return lambda rng: float(
-        center + math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
-    )
+    return lambda rng: center + either(low, high)(rng)
 
 
 _PHASE = even(-math.pi, math.pi)

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import rig
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_bytes, replacing
+from rig.common.text import changed_texts
 from rig.config.campaign import load_campaign
 
 Task = TypeVar("Task")
@@ -122,17 +123,7 @@ def without_place(record: Any, folder: Path) -> Any:
     homes = [str(p) for p in sorted(places, key=lambda p: -len(str(p)))]
     homes.append(str(Path(rig.__file__).parents[1]))
     pattern = re.compile("|".join(re.escape(home) + r"[/\\]" for home in homes))
-    return _changed(record, lambda text: pattern.sub("", text))
-
-
-def _changed(record: Any, change: Callable[[str], str]) -> Any:
-    if isinstance(record, str):
-        return change(record)
-    if isinstance(record, Mapping):
-        return {key: _changed(value, change) for key, value in record.items()}
-    if isinstance(record, list | tuple):
-        return [_changed(value, change) for value in record]
-    return record
+    return changed_texts(record, lambda text: pattern.sub("", text))
 
 
 ORPHANED = 1  # exit status of a worker whose parent has died
@@ -200,14 +191,14 @@ class Processes(NamedTuple):
 
 def _follow_parent() -> None:
     """End this worker with its parent; its own ends of the queue hide the end of file."""
-    Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
-
-
-def _end_with_parent() -> None:
     parent = parent_process()
     assert parent is not None, "not a worker"
-    parent.join()
-    os._exit(ORPHANED)
+
+    def end() -> None:
+        parent.join()
+        os._exit(ORPHANED)
+
+    Thread(target=end, name="parent watch", daemon=True).start()
 
 
 @contextmanager

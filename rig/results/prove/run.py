@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from identification.numerics.arrays import Progress
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
@@ -118,7 +119,6 @@ class Proof(NamedTuple):
         return self.out / folder / f"{rig.name}.json"
 
 
-Progress = Callable[[str, float], None]
 Done = TypeVar("Done")
 
 
@@ -129,12 +129,6 @@ def _told(
     for done, result in enumerate(results, start=of - left + 1):
         yield result
         progress(f"{words(result)}, {done} of {of}", done / of)
-
-
-def _make_folders(out: Path) -> None:
-    """Make the folders of a proof, of which a copied or older proof may lack some."""
-    for name in (ROWS, DIAGNOSES, TIMES, JUDGEMENTS):
-        (out / name).mkdir(parents=True, exist_ok=True)
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
@@ -282,7 +276,9 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
     """Read the seals of a folder, or continue a proof that began with these seals."""
     given = sealed_rigs(source)[:rigs]
     check_sums(source)
-    settings = {"rigs": rigs, "seed": seed, "from": _stated(source, out), "row_version": VERSION}
+    whole, home = source.resolve(), out.resolve()
+    stated = whole.relative_to(home) if whole.is_relative_to(home) else whole
+    settings = {"rigs": rigs, "seed": seed, "from": str(stated), "row_version": VERSION}
     file, seals = out / PROOF_FILE, {rig.name: rig.digest for rig in given}
     if is_file(file):
         changed = [n for n, d in seals_begun(file, settings).items() if seals.get(n) != d]
@@ -291,17 +287,11 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
                 f"{source}: the truths of {', '.join(changed)} are missing or were changed since "
                 f"this proof began; give --out another folder"
             )
-    _make_folders(out)
+    for name in (ROWS, DIAGNOSES, TIMES, JUDGEMENTS):
+        (out / name).mkdir(parents=True, exist_ok=True)
     if not is_file(file):
         write_json(file, {"settings": settings, "seals": seals})
     return Proof(out, seed, tuple(given))
-
-
-def _stated(source: Path, out: Path) -> str:
-    """Return the path of the source, relative to the proof's folder if it is inside."""
-    whole = source.resolve()
-    inside = whole.is_relative_to(out.resolve())
-    return str(whole.relative_to(out.resolve()) if inside else whole)
 
 
 def diagnose_all(proof: Proof, judge: Judge, engine: Engine, progress: Progress) -> None:
@@ -314,13 +304,11 @@ def diagnose_all(proof: Proof, judge: Judge, engine: Engine, progress: Progress)
     )
     results = engine.each(partial(diagnosed, judge=judge), tasks)
     for said in _told(results, len(todo), len(numbered), lambda r: f"{r.name} diagnosed", progress):
+        file = f"{said.name}.json"
+        write_json(proof.out / DIAGNOSES / file, said.diagnosis)
+        write_json(proof.out / TIMES / file, said.times)
         # The judgement is written last, because it marks the rig as diagnosed.
-        for folder, record in (
-            (DIAGNOSES, said.diagnosis),
-            (TIMES, said.times),
-            (JUDGEMENTS, said.beside),
-        ):
-            write_json(proof.out / folder / f"{said.name}.json", record)
+        write_json(proof.out / JUDGEMENTS / file, said.beside)
 
 
 class ToDiagnose(NamedTuple):
@@ -389,7 +377,19 @@ def score_all(
         )
     todo = [rig for rig in proof.rigs if not is_file(proof.file(ROWS, rig))]
     by_name = {rig.name: (rig, unseal(rig.truth, rig.digest)) for rig in todo}
-    tasks = (_to_score(proof, rig, truth, engine) for rig, truth in by_name.values())
+
+    def task(rig: Sealed, truth: Truth) -> ToScore:
+        judged = read_json(proof.file(DIAGNOSES, rig))["verdict"] != REFUSED
+        asked = judged and truth.kind in ("one", "two")
+        beside = judged and is_file(rig.reference)
+        return ToScore(
+            rig.name,
+            given(rig.campaign, engine) if asked else None,
+            list(truth.scored),
+            given(rig.reference, engine) if beside else None,
+        )
+
+    tasks = (task(*pair) for pair in by_name.values())
     results = engine.each(partial(fitted, oracle=oracle, floors=floors), tasks)
     for fits in _told(results, len(todo), len(proof.rigs), lambda r: f"{r.name} scored", progress):
         rig, truth = by_name[fits.name]
@@ -415,18 +415,6 @@ class Fits(NamedTuple):
     name: str
     oracle: Mapping[str, Any] | None
     floor: Mapping[str, float] | None
-
-
-def _to_score(proof: Proof, rig: Sealed, truth: Truth, engine: Engine) -> ToScore:
-    refused = read_json(proof.file(DIAGNOSES, rig))["verdict"] == REFUSED
-    asked = truth.kind in ("one", "two") and not refused
-    beside = is_file(rig.reference) and not refused
-    return ToScore(
-        rig.name,
-        given(rig.campaign, engine) if asked else None,
-        list(truth.scored),
-        given(rig.reference, engine) if beside else None,
-    )
 
 
 def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
@@ -457,8 +445,5 @@ def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
 
 def _recordings(campaign: Path) -> list[str]:
     """Return the names of a campaign's recordings in the form that a diagnosis uses."""
-    names = []
-    for section in load_campaign(campaign).value.recordings:
-        files = (section.file,) if isinstance(section.file, str) else section.file
-        names += [Path(file.removesuffix(".gz")).stem for file in files]
-    return names
+    sections = load_campaign(campaign).value.recordings
+    return [Path(file.removesuffix(".gz")).stem for each in sections for file in each.patterns]

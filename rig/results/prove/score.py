@@ -112,7 +112,10 @@ def row_of(
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
     found, verdict = list(diagnosis["effects"]), diagnosis["verdict"]
-    left = left_over(judgement.left, floor)
+    left, place = left_over(judgement.left, floor), None
+    if kind == "one":
+        ((name, true),) = truth["effects"].items()
+        place = located(name, true, diagnosis, recordings)
     return {
         "rig": truth["rig"],
         "sha256": digest,
@@ -130,7 +133,7 @@ def row_of(
         "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
         "probability": _probability(names, found) if kind in ("one", "two") else None,
-        "location": _location(truth, diagnosis, recordings),
+        "location": place,
         "parameters": _parameters(truth["effects"], found),
         "nominal": _nominal(truth["parameters"], diagnosis),
         **_held_out(diagnosis["fit"]),
@@ -138,16 +141,6 @@ def row_of(
         "oracle_fraction": None if oracle is None else _oracle_fraction(oracle, diagnosis["fits"]),
         "seconds": judgement.seconds,
     }
-
-
-def _location(
-    truth: Mapping[str, Any], diagnosis: Mapping[str, Any], recordings: Sequence[str]
-) -> dict[str, Any] | None:
-    """Score the place of a single effect; return None for other kinds of trial."""
-    if truth["kind"] != "one":
-        return None
-    ((name, true),) = truth["effects"].items()
-    return located(name, true, diagnosis, recordings)
 
 
 def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
@@ -177,42 +170,38 @@ def _parameters(
     true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Return true and estimated parameters of the correctly identified effects."""
-    rows: dict[str, Any] = {}
-    for effect in found:
-        for name, value in true.get(effect["name"], {}).items():
-            estimate = effect["parameters"].get(name)
-            if estimate is None:
-                continue
-            low, high = estimate["low"], estimate["high"]
-            rows[f"{effect['name']}.{name}"] = {
-                "true": value,
-                "value": estimate["value"],
-                "low": low,
-                "high": high,
-                "inside": None if low is None or high is None else low <= value <= high,
-            }
-    return rows
+    return {
+        f"{effect['name']}.{name}": {
+            "true": value,
+            "value": each["value"],
+            "low": each["low"],
+            "high": each["high"],
+            "inside": None
+            if None in (each["low"], each["high"])
+            else each["low"] <= value <= each["high"],
+        }
+        for effect in found
+        for name, value in true.get(effect["name"], {}).items()
+        if (each := effect["parameters"].get(name)) is not None
+    }
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
     """Return the relative errors of the nominal parameters in both models."""
-    rows = {}
-    for name, shift in diagnosis["parameter_shift"].items():
-        if name in true and shift["before"] is not None and shift["after"] is not None:
-            rows[name] = {
-                "before": shift["before"] / true[name] - 1.0,
-                "after": shift["after"] / true[name] - 1.0,
-            }
-    return rows
+    return {
+        name: {
+            "before": shift["before"] / true[name] - 1.0,
+            "after": shift["after"] / true[name] - 1.0,
+        }
+        for name, shift in diagnosis["parameter_shift"].items()
+        if name in true and None not in (shift["before"], shift["after"])
+    }
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the errors on unused recordings, and how much of the way to the noise floor."""
-    before, after, floor = (
-        fit["validate_baseline_rms"],
-        fit["validate_final_rms"],
-        fit["noise_floor_rms"],
-    )
+    keys = ("validate_baseline_rms", "validate_final_rms", "noise_floor_rms")
+    before, after, floor = (fit[key] for key in keys)
     share = None
     if None not in (before, after, floor) and before - floor > FAINT:
         share = (before - after) / (before - floor)
@@ -268,21 +257,18 @@ def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ``right``: the named effect is injected; ``right_group``: the named effect or another effect of
     its alias group is injected.
     """
-    given = []
-    for row in rows:
-        for effect in row["named"]:
-            group = {effect["name"], *effect["alias_group"]}
-            given.append(
-                {
-                    "rig": row["rig"],
-                    "name": effect["name"],
-                    "confidence": effect["confidence"],
-                    "injected": list(row["effects"]),
-                    "right": effect["name"] in row["effects"],
-                    "right_group": bool(group & set(row["effects"])),
-                }
-            )
-    return given
+    return [
+        {
+            "rig": row["rig"],
+            "name": effect["name"],
+            "confidence": effect["confidence"],
+            "injected": list(row["effects"]),
+            "right": effect["name"] in row["effects"],
+            "right_group": bool({effect["name"], *effect["alias_group"]} & set(row["effects"])),
+        }
+        for row in rows
+        for effect in row["named"]
+    ]
 
 
 def reliability(rows: Sequence[Row]) -> list[dict[str, Any]]:
@@ -434,16 +420,17 @@ def location_f1(one: Sequence[Row], nothing: Sequence[Row]) -> dict[str, Any]:
     stated = sum(row["location"]["found"] is not None for row in one)
     precision = rate(right, stated + sum(row["alarm"] for row in nothing))
     recall = rate(right, len(one))
-    f1 = {}
-    for end in ("share", "low", "high"):
+
+    def f1(end: str) -> float:
         p, r = precision[end] or 0.0, recall[end] or 0.0
-        f1[end] = 2.0 * p * r / (p + r) if p + r else 0.0
+        return float(2.0 * p * r / (p + r)) if p + r else 0.0
+
     return {
         "precision": precision,
         "recall": recall,
-        "f1": f1["share"],
-        "low": f1["low"],
-        "high": f1["high"],
+        "f1": f1("share"),
+        "low": f1("low"),
+        "high": f1("high"),
     }
 
 
@@ -464,13 +451,9 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the trials whose held-out error grew by more than the noise floor."""
-    known = [
-        row
+    pairs = [
+        (row["validate_final_rms"], row["validate_baseline_rms"], row["noise_floor_rms"] or 0.0)
         for row in rows
-        if row["validate_final_rms"] is not None and row["validate_baseline_rms"] is not None
+        if None not in (row["validate_final_rms"], row["validate_baseline_rms"])
     ]
-    margins = [(row, row["noise_floor_rms"] or 0.0) for row in known]
-    return rate(
-        sum(r["validate_final_rms"] > r["validate_baseline_rms"] + m for r, m in margins),
-        len(known),
-    )
+    return rate(sum(after > before + floor for after, before, floor in pairs), len(pairs))

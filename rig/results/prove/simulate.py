@@ -105,6 +105,7 @@ def _quantum(values: Array) -> float:
 
 
 AVERAGED = ("current", "voltage")
+_GRAVITY = ("mass", "length", "zero")
 
 
 def write(
@@ -138,6 +139,10 @@ def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any
     motor, joint = machine.motor, machine.joint
     channels: dict[str, Any] = {name: name for name in ("time", "command", *CHANNELS)}
     channels |= {name: {"column": name, "average": True} for name in AVERAGED}
+
+    def fixed(weight: FixedWeight | None) -> dict[str, Any]:
+        return {} if weight is None else {"gravity": dict(zip(_GRAVITY, weight, strict=True))}
+
     return {
         "campaign": 1,
         "bench": {
@@ -157,18 +162,12 @@ def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any
                 "file": f"{entry.experiment.name}.npz",
                 "stage": "loaded" if entry.experiment.weight_kg else "unloaded",
                 "weight_mass": entry.experiment.weight_kg,
-                **_gravity(entry.experiment.fixed),
+                **fixed(entry.experiment.fixed),
                 "role": entry.experiment.role,
             }
             for entry in recorded
         ],
     }
-
-
-def _gravity(fixed: FixedWeight | None) -> dict[str, Any]:
-    if fixed is None:
-        return {}
-    return {"gravity": {"mass": fixed.mass_kg, "length": fixed.length_m, "zero": fixed.zero_rad}}
 
 
 def residual_rms(joint: Joint) -> dict[str, float]:
@@ -203,16 +202,15 @@ def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str
 
 def truth_of(rig: Rig) -> dict[str, Any]:
     """Return the sealed content of a trial."""
-    maker = {
-        "machine": asdict(rig.machine),
-        "pauses_s": rig.pauses_s,
-        "gravity": rig.gravity,
-        "seed": rig.seed,
-    }
     return {
         "effects": as_recorded(rig.machine.effects),
         "parameters": true_parameters(rig.machine),
-        "maker": maker,
+        "maker": {
+            "machine": asdict(rig.machine),
+            "pauses_s": rig.pauses_s,
+            "gravity": rig.gravity,
+            "seed": rig.seed,
+        },
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -103,11 +103,6 @@ def load_truth(path: Path) -> Truth:
     return document.value
 
 
-def strangers(effects: Iterable[str]) -> list[str]:
-    """Return the effects that are not in the catalogue."""
-    return [name for name in effects if name not in EFFECTS]
-
-
 def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
     truth = document.value
     for name, given in truth.effects.items():
@@ -165,20 +160,18 @@ def place(home: Path, name: str) -> Sealed:
 
 
 def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
-    """Write and seal the truth of one rig; return the rig with its digest."""
+    """Write and seal the truth of one rig, with a salt, so that it cannot be guessed; return the
+    rig with its digest.
+    """
     where.truth.parent.mkdir(parents=True, exist_ok=True)
-    content = {"truth": 1, "rig": rig, "outside": strangers(truth["effects"]), **truth}
-    return where._replace(digest=seal(where.truth, content, salt))
+    outside = [name for name in truth["effects"] if name not in EFFECTS]
+    content = {"salt": salt, "truth": 1, "rig": rig, "outside": outside, **truth}
+    text = json.dumps(content, indent=1) + "\n"
+    write_text(where.truth, text)
+    return where._replace(digest=sha256(text.encode()))
 
 
 _SALT = 2  # separates the draws of salts from those of trials and diagnoses
-
-
-def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
-    """Write the truth with a salt, so that it cannot be guessed; return the SHA-256."""
-    text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
-    write_text(path, text)
-    return sha256(text.encode())
 
 
 def repeated_salt(seed: int, number: int) -> str:
@@ -199,14 +192,13 @@ def random_salt(_number: int = 0) -> str:
 def unseal(path: Path, digest: str) -> Truth:
     """Read a truth, and check it against the digest that was shown."""
     try:
-        content = read_bytes(path)
+        found = sha256(read_bytes(path))
     except FileNotFoundError as error:
         raise InputError(
             f"{path}: the sealed truth is missing; generate the blind trials again"
         ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    found = sha256(content)
     if found != digest:
         raise InputError(
             f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "

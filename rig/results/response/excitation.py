@@ -44,23 +44,15 @@ _TRIES: Final = 40  # random sets of phases, of which the one with the least pea
 
 @dataclass(frozen=True)
 class Excitation:
-    """A sequence with what its evaluation needs.
+    """A sequence with what its evaluation needs."""
 
-    Attributes:
-        sequence: Its stages are :data:`QUIET`, :data:`SMALL` and :data:`LARGE`, or the last alone.
-        text: Its file.
-        frequency_Hz: The lines, (f,).
-        windows: Begin and end of the windows of each stage since the start of its excitation, s.
-        carrier_rad_s: Peak speed of the carrier.
-        tones_rad_s: Amplitude of the speed on each line of the stage :data:`LARGE`.
-    """
-
-    sequence: Sequence
-    text: str
-    frequency_Hz: Array
+    sequence: Sequence  # its stages are `QUIET`, `SMALL` and `LARGE`, or the last alone
+    text: str  # its file
+    frequency_Hz: Array  # the lines, (f,)
+    # Begin and end of the windows of each stage since the start of its excitation, s.
     windows: dict[str, tuple[Window, ...]]
-    carrier_rad_s: float
-    tones_rad_s: float
+    carrier_rad_s: float  # peak speed of the carrier
+    tones_rad_s: float  # amplitude of the speed on each line of the stage `LARGE`
 
 
 def excitation(
@@ -113,17 +105,18 @@ def excitation(
     wanted = windows or (WINDOWS if window / cycle_s >= FEW else WINDOWS_OF_FEW)
     middle = math.degrees(limits.middle_rad)
     fade = 0.25 * period
+
+    def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Tone:
+        degrees, phase = float(f"{math.degrees(amplitude):.6g}"), round(math.degrees(phase), 3)
+        return Tone(amplitude_deg=degrees, frequency_Hz=frequency, phase_deg=phase)
+
     made, places = [], {}
     for name in stages:
         count = 2 if name == QUIET else wanted
         factor = {QUIET: 0.0, SMALL: 0.5, LARGE: 1.0}[name]
-        tones = [Tone(amplitude_deg=_short(math.degrees(carrier)), frequency_Hz=1.0 / period)]
+        tones = [sine(carrier, 1.0 / period)]
         tones += [
-            Tone(
-                amplitude_deg=_short(math.degrees(factor * tone / (2.0 * math.pi * f))),
-                frequency_Hz=float(f),
-                phase_deg=round(math.degrees(p), 3),
-            )
+            sine(factor * tone / (2.0 * math.pi * f), float(f), p)
             for f, p in zip(lines, phases, strict=True)
             if factor
         ]
@@ -144,10 +137,6 @@ def excitation(
     sequence = Sequence(sequence=1, name="response", stages=tuple(made))
     head = "# Small tones on a slow carrier, at two amplitudes; made by `rig response`.\n"
     return Excitation(sequence, sequence_text(sequence, head), lines, places, speed, tone)
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
 
 
 def _lines(high_Hz: float, window_s: float, cycle_s: float) -> Array:

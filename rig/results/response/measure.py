@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -42,6 +42,7 @@ from rig.results.document import (
     Section,
     Table,
     Verdict,
+    columns,
     provenance_section,
 )
 from rig.results.response.excitation import LARGE, QUIET, SMALL, Excitation
@@ -124,37 +125,22 @@ def loop_place(document: File[Bench]) -> LoopPlace:
 
 @dataclass(frozen=True)
 class Response:
-    """A measured response.
+    """A measured response."""
 
-    Attributes:
-        bench: Name of the bench.
-        place: Where the position loop is closed.
-        seen: Spectra of all windows with tones.
-        fitted: Gains; misfit 0 where they are those of the host.
-        loops: The open loops on their certain lines.
-        margins: Margins with intervals, by loop.
-        background: Amplitude of the angle without tones over that with them, (f,).
-        differ: Standard errors between the two amplitudes, (f,).
-        model: Open loops with the plant of the nominal model, linear at the speed of the carrier.
-        inertia, damping: Constants of that plant, kg m^2, N m s/rad.
-        friction: Where these constants come from, and the Coulomb friction.
-        ripple_N_m: Rms of the torque's changes from sample to sample with the tones.
-        provenance: Provenance.
-    """
-
-    bench: str
-    place: LoopPlace
-    seen: Spectra
-    fitted: Fitted
-    loops: Mapping[str, OpenLoop]
-    margins: Mapping[str, Mapping[str, Estimate]]
-    background: Array
-    differ: Array
+    bench: str  # name of the bench
+    place: LoopPlace  # where the position loop is closed
+    seen: Spectra  # spectra of all windows with tones
+    fitted: Fitted  # gains; misfit 0 where they are those of the host
+    loops: Mapping[str, OpenLoop]  # the open loops on their certain lines
+    margins: Mapping[str, Mapping[str, Estimate]]  # margins with intervals, by loop
+    background: Array  # amplitude of the angle without tones over that with them, (f,)
+    differ: Array  # standard errors between the two amplitudes, (f,)
+    # Open loops with the plant of the nominal model, linear at the speed of the carrier.
     model: Mapping[str, OpenLoop]
-    inertia: float
-    damping: float
-    friction: FrictionModel
-    ripple_N_m: float
+    inertia: float  # inertia of that plant, kg m^2
+    damping: float  # damping of that plant, N m s/rad
+    friction: FrictionModel  # where these constants come from, and the Coulomb friction
+    ripple_N_m: float  # rms of the torque's changes from sample to sample with the tones
     provenance: Provenance
 
 
@@ -240,7 +226,8 @@ def margins_of(
     """Return the margins of open loops with intervals: from the scatter over the windows, and from
     the errors of the fitted gains, which grow with the torque that the gains leave.
     """
-    found, gains = {}, fitted.gains
+    found: dict[str, dict[str, Estimate]] = {}
+    gains = fitted.gains
     others = [
         dataclasses.replace(gains, position=gains.position * (1.0 + GAIN_ERROR * fitted.misfit)),
         dataclasses.replace(gains, filter_Hz=gains.filter_Hz / (1.0 + CUT_ERROR * fitted.misfit)),
@@ -254,19 +241,16 @@ def margins_of(
             exact = numerics.loops(one.mean(), with_gains)[name]
             return numerics.margins(dataclasses.replace(exact, error=loop.error)).values()
 
-        each = numerics.with_intervals(part, compute)
+        found[name] = {}
         moved = [compute(part, other) for other in others] if fitted.misfit else []
-        found[name] = {key: _widened(e, [m[key] for m in moved]) for key, e in each.items()}
+        for key, (value, low, high) in numerics.with_intervals(part, compute).items():
+            # The interval also contains the independent changes of the gains.
+            if value is not None and low is not None and high is not None:
+                offs = (other - value for m in moved if (other := m[key]) is not None)
+                half = math.hypot(0.5 * (high - low), *offs)
+                low, high = value - half, value + half
+            found[name][key] = Estimate(value, low, high)
     return found
-
-
-def _widened(found: Estimate, moved: Sequence[float | None]) -> Estimate:
-    """Return an estimate with an interval that also contains independent changes."""
-    value, low, high = found
-    if value is None or low is None or high is None:
-        return found
-    half = math.hypot(0.5 * (high - low), *(m - value for m in moved if m is not None))
-    return Estimate(value, value - half, value + half)
 
 
 def response_record(found: Response) -> dict[str, Any]:
@@ -356,20 +340,6 @@ def read_response(path: Path) -> tuple[Spectra, Gains]:
         raise InputError(f"{path}: not a result of `rig response` ({error})") from error
 
 
-def margins_rows(
-    margins: Mapping[str, Mapping[str, Estimate]], loops: Mapping[str, OpenLoop]
-) -> Iterator[tuple[str, ...]]:
-    """Yield the cells of loop, margins with intervals, and highest line."""
-    for name, each in margins.items():
-        cells = []
-        for key in ("phase_deg", "crossover_Hz", "gain_dB", "phase_crossing_Hz"):
-            value = each[key]
-            cells += [number(value.value, 4)]
-            if key in ("phase_deg", "gain_dB"):
-                cells += [interval(value.low, value.high)]
-        yield name, *cells, number(float(loops[name].frequency_Hz[-1]), 3)
-
-
 MARGIN_HEADER: Final = (
     "open loop",
     "phase margin, deg",
@@ -398,34 +368,61 @@ def gains_table(columns: Mapping[str, Gains]) -> Table:
 
 def response_document(found: Response) -> Document:
     """Return a measured response as a document."""
-    table = Table(
-        MARGIN_HEADER, tuple(margins_rows(found.margins, found.loops)), tuple(range(1, 8))
+
+    def ends(estimate: Estimate) -> str:
+        return interval(estimate.low, estimate.high)
+
+    table = columns(
+        [(name, each, found.loops[name]) for name, each in found.margins.items()],
+        tuple(range(1, 8)),
+        (MARGIN_HEADER[0], lambda m: m[0]),
+        (MARGIN_HEADER[1], lambda m: number(m[1]["phase_deg"].value, 4)),
+        (MARGIN_HEADER[2], lambda m: ends(m[1]["phase_deg"])),
+        (MARGIN_HEADER[3], lambda m: number(m[1]["crossover_Hz"].value, 4)),
+        (MARGIN_HEADER[4], lambda m: number(m[1]["gain_dB"].value, 4)),
+        (MARGIN_HEADER[5], lambda m: ends(m[1]["gain_dB"])),
+        (MARGIN_HEADER[6], lambda m: number(m[1]["phase_crossing_Hz"].value, 4)),
+        (MARGIN_HEADER[7], lambda m: number(float(m[2].frequency_Hz[-1]), 3)),
     )
     position = found.margins["position"]["phase_deg"].value
     headline = "No crossover of the position loop among the lines"
     if position is not None:
         headline = f"Phase margin of the position loop: {position:.0f} deg"
     verdict = Verdict(headline, f"The loop is closed {found.place.words}.", "good")
-    head = Section("", (verdict, table, *map(Note, _remarks(found))))
-    gains = Section("Gains", (gains_table({"measured": found.fitted.gains}),))
-    model = Section("", (_model_table(found),)) if found.model else None
-    summary = tuple(part for part in (head, gains, model) if part is not None)
-    sections = (*summary, Section("Response", tuple(_pictures(found))), _lines_section(found))
+    summary = [
+        Section("", (verdict, table, *map(Note, _remarks(found)))),
+        Section("Gains", (gains_table({"measured": found.fitted.gains}),)),
+    ]
+    if found.model:
+        rows = tuple(
+            (name, *(number(v, 4) for v in numerics.margins(loop).values().values()))
+            for name, loop in found.model.items()
+        )
+        header = ("the model predicts", *(MARGIN_HEADER[k] for k in (1, 3, 4, 6)))
+        summary.append(Section("", (Table(header, rows, (1, 2, 3, 4)),)))
+    seen = found.seen
+    one, coherence = seen.mean(), seen.coherence()
+    lines = columns(
+        range(len(seen.frequency_Hz)),
+        tuple(range(6)),
+        ("Hz", lambda k: number(float(seen.frequency_Hz[k]), 4)),
+        ("tone, deg", lambda k: number(math.degrees(float(seen.amplitude_rad[k])), 3)),
+        ("coherence", lambda k: number(float(coherence[k]), 4)),
+        ("without tones", lambda k: percent(100.0 * float(found.background[k]))),
+        ("plant, dB", lambda k: number(20.0 * math.log10(abs(one.plant[k])), 4)),
+        ("differ, sigma", lambda k: number(float(found.differ[k]), 2)),
+    )
     return Document(
         f"Frequency response of {found.bench}",
-        f"{len(found.seen.frequency_Hz)} lines, {found.seen.windows} windows",
-        summary,
-        (*sections, provenance_section(found.provenance)),
+        f"{len(seen.frequency_Hz)} lines, {seen.windows} windows",
+        tuple(summary),
+        (
+            *summary,
+            Section("Response", tuple(_pictures(found))),
+            Section("Lines", (lines,)),
+            provenance_section(found.provenance),
+        ),
     )
-
-
-def _model_table(found: Response) -> Table:
-    rows = []
-    for name, loop in found.model.items():
-        m = numerics.margins(loop)
-        rows.append((name, *(number(v, 4) for v in m.values().values())))
-    header = ("the model predicts", *(MARGIN_HEADER[k] for k in (1, 3, 4, 6)))
-    return Table(header, tuple(rows), (1, 2, 3, 4))
 
 
 def _remarks(found: Response) -> Iterator[str]:
@@ -467,21 +464,3 @@ def _pictures(found: Response) -> Iterator[Paragraph | Picture]:
     drawn.append(Curve("closed", f, one.closed))
     yield Picture.of("loops", "Open loops and closed position loop", bode(drawn, ""), lead=True)
     yield Picture.of("nyquist", "Nyquist plot of the open loops", nyquist(found.loops))
-
-
-def _lines_section(found: Response) -> Section:
-    seen = found.seen
-    one, coherence = seen.mean(), seen.coherence()
-    rows = tuple(
-        (
-            number(float(f), 4),
-            number(math.degrees(float(seen.amplitude_rad[k])), 3),
-            number(float(coherence[k]), 4),
-            percent(100.0 * float(found.background[k])),
-            number(20.0 * math.log10(abs(one.plant[k])), 4),
-            number(float(found.differ[k]), 2),
-        )
-        for k, f in enumerate(seen.frequency_Hz)
-    )
-    header = ("Hz", "tone, deg", "coherence", "without tones", "plant, dB", "differ, sigma")
-    return Section("Lines", (Table(header, rows, tuple(range(6))),))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -28,7 +27,6 @@ from rig.common.tables import number
 from rig.common.yaml_tree import parse
 from rig.config.bench import Bench
 from rig.config.configuration import Document as File
-from rig.config.configuration import packaged
 from rig.planning.predicted_load import FrictionModel
 from rig.results.diagnose.model_bench import bench_text
 from rig.results.document import (
@@ -88,30 +86,17 @@ class Written:
 
 @dataclass(frozen=True)
 class Tuning:
-    """Proposed gains.
+    """Proposed gains."""
 
-    Attributes:
-        bench: Name of the bench.
-        place: Where the position loop is closed.
-        source: What the gains follow from, for the reader.
-        seen: Spectra.
-        old: Present gains.
-        before: Their margins, by loop.
-        wanted: The wanted margins.
-        proposal: The proposed gains and their margins.
-        written: What came of them, or None if they were not tried.
-        provenance: Provenance.
-    """
-
-    bench: str
-    place: LoopPlace
-    source: str
+    bench: str  # name of the bench
+    place: LoopPlace  # where the position loop is closed
+    source: str  # what the gains follow from, for the reader
     seen: Spectra
-    old: Gains
-    before: Mapping[str, Margins]
-    wanted: Wanted
-    proposal: Proposal
-    written: Written | None
+    old: Gains  # present gains
+    before: Mapping[str, Margins]  # their margins, by loop
+    wanted: Wanted  # the wanted margins
+    proposal: Proposal  # the proposed gains and their margins
+    written: Written | None  # what came of them, or None if they were not tried
     provenance: Provenance
 
     @property
@@ -125,10 +110,11 @@ class Tuning:
         gains = self.proposal.gains if new else self.old
         return numerics.with_gains(self.seen, self.old, gains)["position"]
 
-    def step(self, new: bool) -> tuple[Array, Array]:
-        """Return time and unit step of the closed position loop without feed-forward."""
-        loop = self.loop(new)
-        at = numerics.margins(self.loop(True)).crossover_Hz or float(loop.frequency_Hz[0])
+    @property
+    def step(self) -> tuple[Array, Array]:
+        """Time and unit step of the new closed position loop without feed-forward."""
+        loop = self.loop(True)
+        at = numerics.margins(loop).crossover_Hz or float(loop.frequency_Hz[0])
         time = np.linspace(0.0, 2.5 / at, 400)
         return time, numerics.step_response(loop, time)
 
@@ -195,14 +181,6 @@ def with_gains(document: File[Bench], place: LoopPlace, old: Gains, new: Gains) 
     return bench_text(bench, ["gains by `rig tune`"])
 
 
-def new_file(document: File[Bench], folder: Path) -> Path:
-    """Return the path of the bench file with the new gains, beside a file of the user."""
-    path = document.path
-    if path == packaged(path.stem, "benches"):
-        return folder / "bench.yaml"
-    return path.with_name(f"{path.stem}.tuned{path.suffix}")
-
-
 def between(old: Gains, new: Gains, share: float) -> Gains:
     """Return gains on the way from old to new ones, on a logarithmic scale."""
     found = {}
@@ -228,7 +206,7 @@ def tune_record(found: Tuning) -> dict[str, Any]:
             "old": {name: asdict(m) for name, m in found.before.items()},
             "proposed": {name: asdict(m) for name, m in found.proposal.margins.items()},
         },
-        "step": step_figures(*found.step(True)),
+        "step": step_figures(*found.step),
         "problem": found.proposal.problem,
         "written": None if found.written is None else plain(found.written),
     }
@@ -249,11 +227,10 @@ def step_figures(time: Array, step: Array) -> dict[str, float | None]:
 def tune_document(found: Tuning, document: File[Bench]) -> Document:
     """Return proposed gains as a document."""
     proposal, written = found.proposal, found.written
-    headline = "The proposed gains have the wanted margins"
-    if proposal.problem:
-        headline = "The wanted margins or bandwidth are not reached"
-    said = proposal.problem or f"They follow from {found.source}."
-    verdict = Verdict(headline, said, "open" if proposal.problem else "good")
+    said = f"They follow from {found.source}."
+    verdict = Verdict("The proposed gains have the wanted margins", said, "good")
+    if problem := proposal.problem:
+        verdict = Verdict("The wanted margins or bandwidth are not reached", problem, "open")
     gains = gains_table({"old": found.old, "proposed": proposal.gains})
     rows = [
         (when, name, *(number(v, 4) for v in m.values().values()), number(m.highest_Hz, 3))
@@ -262,35 +239,32 @@ def tune_document(found: Tuning, document: File[Bench]) -> Document:
     ]
     header = ("gains", *(MARGIN_HEADER[k] for k in (0, 1, 3, 4, 6, 7)))
     margins = Table(header, tuple(rows), (2, 3, 4, 5, 6))
-    figures = step_figures(*found.step(True))
-    step = ", ".join(
+    time, after = found.step
+    figures = (
         f"{name.rpartition('_')[0]} {number(value, 3)} {name.rpartition('_')[2]}"
-        for name, value in figures.items()
+        for name, value in step_figures(time, after).items()
     )
-    notes = [Note(f"expected step without feed-forward: {step}")]
-    if written is None:
-        notes.append(Note("nothing was written"))
-    else:
+    step = Note(f"expected step without feed-forward: {', '.join(figures)}")
+    fate = Note("nothing was written")
+    if written is not None:
         state = f"{written.state}: {written.why}" if written.why else written.state
-        notes.append(Note(state, "plain" if written.state == "written" else "warning"))
-    head = Section("", (verdict, gains, margins, *notes))
-    tool = Section("For the drive's own tool", (_tool_table(document.value, proposal.gains),))
-    summary = (head,) if found.place.host else (head, tool)
-    time, after = found.step(True)
-    drawn = steps(time, {"old": numerics.step_response(found.loop(False), time), "proposed": after})
-    curves = [
-        Curve(name, loop.frequency_Hz, loop.response)
-        for name, loop in (("old", found.loop(False)), ("proposed", found.loop(True)))
-    ]
-    pictures: Sequence[Picture] = (
+        fate = Note(state, "plain" if written.state == "written" else "warning")
+    summary = [Section("", (verdict, gains, margins, step, fate))]
+    if not found.place.host:
+        table = _tool_table(document.value, proposal.gains)
+        summary.append(Section("For the drive's own tool", (table,)))
+    loops = {"old": found.loop(False), "proposed": found.loop(True)}
+    drawn = steps(time, {"old": numerics.step_response(loops["old"], time), "proposed": after})
+    curves = [Curve(name, loop.frequency_Hz, loop.response) for name, loop in loops.items()]
+    pictures = (
         Picture.of("step", "Expected step of the position loop", drawn, lead=True),
         Picture.of("open_loop", "Open position loop", bode(curves, "")),
     )
     return Document(
         f"Gains for {found.bench}",
         f"{found.wanted.phase_deg:g} deg, {found.wanted.gain_dB:g} dB",
-        summary,
-        (*summary, Section("Response", tuple(pictures)), provenance_section(found.provenance)),
+        tuple(summary),
+        (*summary, Section("Response", pictures), provenance_section(found.provenance)),
     )
 
 

@@ -40,6 +40,11 @@ _AFTER_SHARE = 0.12
 """Shortest time that is shown after the end, as a share of the time before the end."""
 _CLOSE_S = (0.08, 0.04)
 """Time shown before and after the end in the close-up with single samples, s."""
+NOT_LATE = (
+    "Lateness of the control cycle is not drawn: the times of the samples are simulated time, in "
+    "which every cycle of this recording started on time."
+)
+"""Message that replaces the chart of lateness on a simulated bench."""
 NEVER_MOVED = "No control cycle was recorded: the drive was never under power, and nothing moved."
 HOST, SIMULATED = "host time", "simulated time"
 DEG = math.degrees(1.0)
@@ -136,13 +141,6 @@ RESULT = ("error", "current", "temperature")
 """First channels of the panels that show the course of a run, in order."""
 
 
-def _result_panels(check: Check | None) -> list[Panel]:
-    """Return the panel of the trip, tracking error, current and temperature."""
-    by_channel = {next(iter(panel.channels)): panel for panel in PANELS}
-    usual = [by_channel[name] for name in RESULT]
-    return [p for p in PANELS if check in p.checks] + [p for p in usual if check not in p.checks]
-
-
 Limit = Sequence[tuple[float, float]]
 """Start times, s, and values of a limit, in the unit of the chart, from each time on."""
 
@@ -200,7 +198,11 @@ def chart(
     panel = dataclasses.replace(panel, channels=channels)
     first = next(iter(channels))
     low, high = (panel.scale * value for value in extremes[first])
-    limits = _limits(panel, steps) or _limits_of_trip(panel, tripped)
+    limits = _limits(panel, steps)
+    if not limits and tripped is not None and not panel.categories:
+        limits = [(_scaled(panel, [(-math.inf, tripped.limit)]), not tripped.value < tripped.limit)]
+        if panel.symmetric:
+            limits.append((_scaled(panel, [(-math.inf, -tripped.limit)]), False))
     beyond = any(_broken(limit, upper, panel, series) for limit, upper in limits)
     size = panel.scale * max(abs(value) for name in channels for value in extremes[name])
     always = beyond or tall or size == 0.0
@@ -228,16 +230,6 @@ def _limits(panel: Panel, steps: Sequence[Step]) -> list[tuple[Limit, bool]]:
         values = [(t, sign * v) for t, limits in steps if (v := limit(limits)) is not None]
         if values:
             found.append((_scaled(panel, values), upper))
-    return found
-
-
-def _limits_of_trip(panel: Panel, tripped: Tripped | None) -> list[tuple[Limit, bool]]:
-    if tripped is None or panel.categories:
-        return []
-    above = not tripped.value < tripped.limit
-    found = [(_scaled(panel, [(-math.inf, tripped.limit)]), above)]
-    if panel.symmetric:
-        found.append((_scaled(panel, [(-math.inf, -tripped.limit)]), False))
     return found
 
 
@@ -317,28 +309,26 @@ class TimeAxis:
 
     def ticks(self) -> Iterator[tuple[float, str]]:
         """Yield positions and labels of the ticks, spaced widely enough for a telephone."""
-        step = _nice(self._total / 5.0)
-        last = -1.0
+        step, last = 1.0, -1.0
+        if 0.0 < (rough := self._total / 5.0) < math.inf:
+            # The next number that is 1, 2 or 5 times a power of ten.
+            power = 10.0 ** math.floor(math.log10(rough))
+            step = next(power * k for k in _NICE if power * k >= rough * (1.0 - 1e-9))
+        digits = max(0, -math.floor(math.log10(step) + 1e-9))
         for start, stop in self._joined:
             for k in range(math.ceil(start / step - 1e-9), math.floor(stop / step + 1e-9) + 1):
-                place = self.at(k * step)
+                value, place = k * step, self.at(k * step)
                 if place - last >= 0.12:
-                    yield place, _tick_label(k * step, step)
+                    plain = digits < 7 and abs(value) < 1e7
+                    yield place, f"{value:z.{digits}f}" if plain else f"{value:.3g}"
                     last = place
 
-
-def _nice(rough: float) -> float:
-    """Return the next number that is 1, 2 or 5 times a power of ten."""
-    if not rough > 0.0 or not math.isfinite(rough):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(power * each for each in _NICE if power * each >= rough * (1.0 - 1e-9))
-
-
-def _tick_label(value: float, step: float) -> str:
-    """Return the label of a tick, with the digits needed for the tick spacing."""
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value:z.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"
+    def stairs(self, limit: Limit) -> Iterator[tuple[float, float, float]]:
+        """Yield start and end on the axis, and value, of each constant part of a limit."""
+        begins, ends = self.ends
+        for (start, value), (stop, _) in pairwise([*limit, (ends, math.nan)]):
+            if max(start, begins) < min(stop, ends):
+                yield self.at(max(start, begins)), self.at(min(stop, ends)), value
 
 
 @dataclass(frozen=True)
@@ -400,7 +390,7 @@ class Plots:
                 "unit": panel.unit,
                 "categories": panel.categories,
                 "range": chart.range,
-                "limits": [list(_stairs(limit, frame.axis)) for limit in chart.limits],
+                "limits": [list(frame.axis.stairs(limit)) for limit in chart.limits],
                 "tall": chart.tall,
                 "frame": frame.record(),
             }
@@ -445,14 +435,6 @@ def _digits(values: Array) -> list[float | None]:
     return [float(f"{v:.5g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
-def _stairs(limit: Limit, axis: TimeAxis) -> Iterator[tuple[float, float, float]]:
-    """Yield start and end on the time axis, and value, of each constant part of a limit."""
-    begins, ends = axis.ends
-    for (start, value), (stop, _) in pairwise([*limit, (ends, math.nan)]):
-        if max(start, begins) < min(stop, ends):
-            yield axis.at(max(start, begins)), axis.at(min(stop, ends)), value
-
-
 def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
     """Yield the last seconds of a run, the tripped channel first, with a close-up."""
     moment, traces = recorded.moment, recorded.traces
@@ -461,16 +443,13 @@ def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
         return
     last = traces.end_s
     first = max(moment.time - BEFORE_S, last - TAIL_S, traces.powered[0][0])
-    until = max(
-        last,
-        moment.time + _AFTER_SHARE * (moment.time - first),
-        first + 10.0 * recorded.record.cycle_s,
-    )
+    after = moment.time + _AFTER_SHARE * (moment.time - first)
+    until = max(last, after, first + 10.0 * recorded.record.cycle_s)
     shades = _shades(with_braking(recorded.spans, moment), numbered=False)
     off = "drive off" if recorded.record.de_energised else "not recorded"
     shades.append(Shade(last, math.inf, off, 3))
     mark = (moment.time, f"{moment.words} {moment.time:.3f} s")
-    clock = _clock_of(recorded.record)
+    clock = SIMULATED if recorded.record.simulated else HOST
     frame = Frame(TimeAxis([(first, until)]), clock, _inside(shades, first, until), mark)
     charts = _charts(recorded, traces.samples(first, last))
     about = f"Black line: {moment.words} at {moment.time:.3f} s since the start of this recording."
@@ -480,12 +459,8 @@ def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
         yield plots.figure(dataclasses.replace(charts[0], tall=True), frame)
     if charts and charts[0].tall:
         first, until = moment.time - _CLOSE_S[0], moment.time + _CLOSE_S[1]
-        near = Frame(
-            TimeAxis([(first, until)]),
-            clock,
-            _inside(shades, first, until),
-            (moment.time, moment.words),
-        )
+        near_mark = (moment.time, moment.words)
+        near = Frame(TimeAxis([(first, until)]), clock, _inside(shades, first, until), near_mark)
         for each in _charts(recorded, traces.samples(first, until))[:1]:
             title = f"{each.panel.title}, sample by sample"
             panel = dataclasses.replace(each.panel, title=title)
@@ -498,10 +473,8 @@ def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
 def _limits_words(recorded: Recorded) -> str:
     if recorded.steps:
         return "Dashed red: the limit in force, tighter in a first pass."
-    return (
-        f"The limits are not known ({recorded.attached.problem}); only the limit of a trip is "
-        "drawn."
-    )
+    problem = recorded.attached.problem
+    return f"The limits are not known ({problem}); only the limit of a trip is drawn."
 
 
 def whole(recorded: Recorded, plots: Plots) -> Iterator[str]:
@@ -523,7 +496,13 @@ def whole(recorded: Recorded, plots: Plots) -> Iterator[str]:
     yield from (plots.figure(each, frame) for each in _charts(recorded, traces.reduced, tall=False))
     yield "</div>"
     if _never_late(recorded, traces.reduced):
-        yield f'<p class="note">{escape(_not_late_words(recorded.record))}</p>'
+        late = "A recording in simulated time does not show how late this computer is."
+        if recorded.record.realtime:
+            late = (
+                "The lateness of this computer, which paces the simulation, is in the table `How "
+                "late cycles started`."
+            )
+        yield f'<p class="note">{NOT_LATE} {late}</p>'
 
 
 def result(recorded: Recorded, plots: Plots) -> Iterator[str]:
@@ -534,7 +513,10 @@ def result(recorded: Recorded, plots: Plots) -> Iterator[str]:
         return
     frame = _whole_frame(recorded)
     tripped = recorded.tripped
-    for panel in _result_panels(None if tripped is None else tripped.check):
+    check = None if tripped is None else tripped.check
+    by_channel = {next(iter(panel.channels)): panel for panel in PANELS}
+    usual = [by_channel[name] for name in RESULT if check not in by_channel[name].checks]
+    for panel in (*(p for p in PANELS if check in p.checks), *usual):
         mine = tripped if tripped is not None and tripped.check in panel.checks else None
         each = chart(panel, traces.reduced, recorded.steps, mine, False)
         if each is not None:
@@ -545,8 +527,9 @@ def _whole_frame(recorded: Recorded) -> Frame:
     moment = recorded.moment
     found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
     mark = None if moment is None else (moment.time, f"{moment.words} {moment.time:.3f} s")
+    clock = SIMULATED if recorded.record.simulated else HOST
     axis = TimeAxis(recorded.traces.powered)
-    return Frame(axis, _clock_of(recorded.record), _shades(found, numbered=True), mark)
+    return Frame(axis, clock, _shades(found, numbered=True), mark)
 
 
 def _charts(recorded: Recorded, series: Series, tall: bool = True) -> list[Chart]:
@@ -574,29 +557,11 @@ def _never_late(recorded: Recorded, series: Series) -> bool:
     return not series.extremes("late")[1] > 0.0
 
 
-def _clock_of(record: RunRecord) -> str:
-    return SIMULATED if record.simulated else HOST
-
-
 def _axis_words(record: RunRecord) -> str:
     if not record.simulated:
         return "Time axis: time of the host's clock since the start of this recording."
     pace = ", in step with real time" if record.realtime else ""
     return f"Time axis: simulated time since the start of this recording{pace}."
-
-
-def _not_late_words(record: RunRecord) -> str:
-    """Return the message that replaces the chart of lateness on a simulated bench."""
-    words = (
-        "Lateness of the control cycle is not drawn: the times of the samples are simulated time, "
-        "in which every cycle of this recording started on time."
-    )
-    if record.realtime:
-        return (
-            f"{words} The lateness of this computer, which paces the simulation, is in the "
-            "table `How late cycles started`."
-        )
-    return f"{words} A recording in simulated time does not show how late this computer is."
 
 
 def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:

@@ -23,46 +23,30 @@ NOT_JUDGED = (
 )
 
 
-def _acceptance_rows(limits: Sequence[Limit]) -> list[tuple[str, str, str]]:
-    return [_row(limit) for limit in limits]
-
-
-def _row(limit: Limit) -> tuple[str, str, str]:
+def _quantity(limit: Limit) -> tuple[str, str, str]:
+    """Return what is limited, the permitted values, and their unit, as text."""
     if isinstance(limit, Bound):
         sign = f"{'<' if limit.below else '>'}{'=' if limit.inclusive else ''}"
         name = f"{limit.measure} {limit.statistic}".strip()
         return name, f"{sign} {limit.value:g}", limit.unit or "-"
     if isinstance(limit, Range):
-        return f"{limit.name}, 90 % interval", _range(limit), UNITS_ROTARY[limit.name] or "-"
+        permitted = f"{limit.low:g} to {limit.high:g}"
+        if math.isinf(limit.low):
+            permitted = f"<= {limit.high:g}"
+        elif math.isinf(limit.high):
+            permitted = f">= {limit.low:g}"
+        return f"{limit.name}, 90 % interval", permitted, UNITS_ROTARY[limit.name] or "-"
     if limit.text == NOTHING_MISSING:
         return "diagnosis", limit.text, "-"
     return "weight check", "passed", "-"
-
-
-def _range(limit: Range) -> str:
-    if math.isinf(limit.low):
-        return f"<= {limit.high:g}"
-    if math.isinf(limit.high):
-        return f">= {limit.low:g}"
-    return f"{limit.low:g} to {limit.high:g}"
-
-
-def _describe_acceptance(limits: Sequence[Limit], source: str) -> str:
-    if not limits:
-        return NOT_JUDGED
-    head = (
-        f"acceptance: when all stages are done, the run is judged by its completeness and "
-        f"{len(limits)} {'limit' if len(limits) == 1 else 'limits'} of {source}"
-    )
-    rows = [list(row) for row in _acceptance_rows(limits)]
-    return f"{head}\n{table(['acceptance limit', 'permitted', 'unit'], rows)}"
 
 
 def acceptance_record(limits: Sequence[Limit]) -> list[dict[str, Any]]:
     """Return the acceptance limits as JSON values."""
     return [
         {"limit": limit.text, "quantity": name, "permitted": permitted, "unit": unit}
-        for limit, (name, permitted, unit) in zip(limits, _acceptance_rows(limits), strict=True)
+        for limit in limits
+        for name, permitted, unit in [_quantity(limit)]
     ]
 
 
@@ -75,70 +59,53 @@ NOT_PREDICTED = (
 
 
 @dataclass(frozen=True)
-class Duration:
-    """Expected duration of a run."""
-
-    under_power_s: float  # time under power, in motion and at rest, s
-    # Time of the moves to the starts of the excitations, s; the first move is from 0 deg.
-    moves_s: float
-    prompts: int  # number of prompts that an operator must answer
-
-    @property
-    def total_s(self) -> float:
-        """Total duration, with the assumed time for prompts, s."""
-        return self.under_power_s + self.moves_s + self.prompts * PROMPT_S
-
-    @property
-    def words(self) -> str:
-        """Description for the operator."""
-        asked = (
-            f"{self.prompts} prompts, {PROMPT_S:g} s assumed for each"
-            if self.prompts
-            else "no prompt"
-        )
-        parts = (
-            f"{self.under_power_s:.1f} s in motion and at rest, {self.moves_s:.1f} s of moves "
-            f"to the start, {asked}"
-        )
-        minutes, seconds = divmod(round(self.total_s), 60)
-        return f"about {minutes} min {seconds} s: {parts}"
-
-
-@dataclass(frozen=True)
 class DryRun:
     """Result of a dry run."""
 
     bench: Document[Bench]
     load: PredictedLoad
     watcher: Watcher
-    duration: Duration
-    acceptance: tuple[Limit, ...] = ()
-    acceptance_source: str = ""
+    # Time of the moves to the starts of the excitations, s; the first move is from 0 deg.
+    moves_s: float
+    prompts: int  # number of prompts that an operator must answer
+    acceptance: tuple[Limit, ...]
+    acceptance_source: str
+
+    @property
+    def duration_s(self) -> float:
+        """Total duration, with the assumed time for prompts, s."""
+        return self.load.plan.duration_s + self.moves_s + self.prompts * PROMPT_S
 
 
 def dry_run(
     bench: Document[Bench],
     load: PredictedLoad,
     asks: bool,
-    acceptance: tuple[Limit, ...] = (),
-    acceptance_source: str = "",
+    acceptance: tuple[Limit, ...],
+    acceptance_source: str,
 ) -> DryRun:
     """Compute motion, peaks and duration of a run.
 
     ``asks``: whether an operator must answer the prompts.
     """
     plan = load.plan
-    prompts = len(plan.stages) if asks else 0
     cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
-    duration = Duration(plan.duration_s, cycles * plan.cycle_s, prompts)
-    watcher = watcher_of(bench.value)
-    return DryRun(bench, load, watcher, duration, acceptance, acceptance_source)
+    prompts = len(plan.stages) if asks else 0
+    watcher, moves_s = watcher_of(bench.value), cycles * plan.cycle_s
+    return DryRun(bench, load, watcher, moves_s, prompts, acceptance, acceptance_source)
 
 
 def describe_dry_run(run: DryRun) -> str:
     """Return the dry run as text for the terminal."""
-    head = ["stage", "part", "peak N m", "limit N m", "share", "peak A", "limit A", "share"]
-    rows = [
+    judged = NOT_JUDGED
+    if count := len(run.acceptance):
+        head = (
+            f"acceptance: when all stages are done, the run is judged by its completeness and "
+            f"{count} {'limit' if count == 1 else 'limits'} of {run.acceptance_source}"
+        )
+        header = ("acceptance limit", "permitted", "unit")
+        judged = f"{head}\n{table(header, [_quantity(limit) for limit in run.acceptance])}"
+    peaks = [
         [
             peak.stage,
             peak.part,
@@ -151,16 +118,21 @@ def describe_dry_run(run: DryRun) -> str:
         ]
         for peak in run.load.peaks
     ]
+    titles = ("stage", "part", "peak N m", "limit N m", "share", "peak A", "limit A", "share")
+    asked = f"{run.prompts} prompts, {PROMPT_S:g} s assumed for each"
+    minutes, seconds = divmod(round(run.duration_s), 60)
     lines = [
         describe(run.load.plan),
         "",
-        _describe_acceptance(run.acceptance, run.acceptance_source),
+        judged,
         "",
         f"Predicted from {run.load.model.source}. {NOT_PREDICTED}",
-        table(head, rows, right=range(2, 8)),
+        table(titles, peaks, right=range(2, 8)),
         "",
         f"watched by: {run.watcher.words}",
-        f"duration: {run.duration.words}",
+        f"duration: about {minutes} min {seconds} s: {run.load.plan.duration_s:.1f} s in motion "
+        f"and at rest, {run.moves_s:.1f} s of moves to the start, "
+        f"{asked if run.prompts else 'no prompt'}",
         *(f"warning: {text}" for text in run.load.warnings),
         *(f"problem: {text}" for text in run.load.problems),
     ]
@@ -183,11 +155,11 @@ def dry_run_record(run: DryRun) -> dict[str, Any]:
         "predicted": [dataclasses.asdict(peak) for peak in load.peaks],
         "watched_by": run.watcher.kind,
         "watch_s": run.watcher.after_s,
-        "under_power_s": run.duration.under_power_s,
-        "moves_s": run.duration.moves_s,
-        "prompts": run.duration.prompts,
+        "under_power_s": load.plan.duration_s,
+        "moves_s": run.moves_s,
+        "prompts": run.prompts,
         "acceptance": acceptance_record(run.acceptance),
-        "duration_s": run.duration.total_s,
+        "duration_s": run.duration_s,
         "warnings": load.warnings,
         "problems": load.problems,
         "good": not load.problems,

@@ -59,12 +59,12 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
     """Return the last lines of the message on an unfinished run; empty for a finished run."""
     if record.state == Ending.DONE.value:
         return ""
-    lines = [f"first: {words}" for words in first_words(record)]
     command = go_on_command(record, folder)
-    lines += [f"note: {words}" for words in go_on_notes(record)]
-    lines.append(
-        f"go on with: {command}" if command else "every stage is done; there is no stage to resume"
-    )
+    lines = [
+        *(f"first: {words}" for words in first_words(record)),
+        *(f"note: {words}" for words in go_on_notes(record)),
+        f"go on with: {command}" if command else "every stage is done; there is no stage to resume",
+    ]
     return "\n".join(lines)
 
 

@@ -112,23 +112,15 @@ class Derived(NamedTuple):
     segment: Array  # number of the excitation, 0 for none
 
 
-@dataclass
-class _Carried:
-    """State that is carried from one block of samples to the next."""
-
-    time: float = -math.inf
-    fresh: float = math.nan
-    drive: float = math.nan
-    encoder: float = math.nan
-
-
 class Deriver:
     """Function that derives the plotted channels of consecutive blocks of samples."""
 
     def __init__(self, bench: Constants, cycle_s: float) -> None:
         self._bench = bench
         self._cycle_s = cycle_s
-        self._carried = _Carried()
+        # State that is carried from one block of samples to the next.
+        self._time = -math.inf
+        self._fresh = self._drive = self._encoder = math.nan
         # Time, s, and command, rad, of the first sample of each stage under power.
         self.starts: list[tuple[float, float]] = []
         # Start and end of each time under power up to now, s.
@@ -146,7 +138,7 @@ class Deriver:
         time = samples["time"]
         pauses = self._pauses(time, events, PAUSES)
         stages = self._pauses(time, events, frozenset({"stage start"}))
-        step = np.diff(time, prepend=self._carried.time)
+        step = np.diff(time, prepend=self._time)
         self.starts += [
             (float(time[k]), float(samples["command"][k])) for k in np.flatnonzero(stages)
         ]
@@ -162,7 +154,7 @@ class Deriver:
             "state": _STATE[samples["statusword"].astype(np.int64) & RUNNING_MASK],
             **self._times(samples, step, pauses, stages),
         }
-        self._carried.time = float(time[-1])
+        self._time = float(time[-1])
         values = np.column_stack([found.get(name, np.full(len(time), np.nan)) for name in NAMES])
         return Derived(
             time, values, stages | (step > _GAP_CYCLES * self._cycle_s), samples["segment"]
@@ -173,10 +165,8 @@ class Deriver:
     ) -> Flags:
         """Return a mask of the samples directly after an event of one of the ``kinds``."""
         flags = np.zeros(len(time), dtype=np.bool_)
-        at = np.array(
-            [e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time]
-        )
-        index = np.searchsorted(time, at)
+        at = [e["time"] for e in events if e["event"] in kinds and e["time"] > self._time]
+        index = np.searchsorted(time, np.array(at))
         flags[index[index < len(time)]] = True
         return flags
 
@@ -201,15 +191,15 @@ class Deriver:
     def _times(
         self, samples: Mapping[str, Array], step: Array, pauses: Flags, stages: Flags
     ) -> dict[str, Array]:
-        time, fresh, carried = samples["time"], samples["fresh"] != 0.0, self._carried
+        time, fresh = samples["time"], samples["fresh"] != 0.0
         late = np.where(
             (step > 1.99 * self._cycle_s) & ~pauses & np.isfinite(step), step - self._cycle_s, 0.0
         )
-        before = time[0] if math.isnan(carried.fresh) else carried.fresh
+        before = time[0] if math.isnan(self._fresh) else self._fresh
         latest = np.maximum.accumulate(np.where(fresh | pauses, time, before))
-        carried.fresh = float(latest[-1])
-        drive, carried.drive = _since(samples["device_time"] - time, stages, carried.drive)
-        encoder, carried.encoder = _since(samples["encoder_time"] - time, stages, carried.encoder)
+        self._fresh = float(latest[-1])
+        drive, self._drive = _since(samples["device_time"] - time, stages, self._drive)
+        encoder, self._encoder = _since(samples["encoder_time"] - time, stages, self._encoder)
         return {
             "age": time - latest,
             "answer": samples["host_time"] - time,
@@ -410,13 +400,9 @@ def limit_steps(
     before: PlannedPass | None = None
     for event in events:
         if event["event"] == "first pass":
-            passes = next(
-                (stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ()
-            )
-            planned = next(
-                (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)),
-                None,
-            )
+            passes = [p for s in plan.stages if s.name == event["stage"] for p in s.first_passes]
+            alike = (math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME) for p in passes)
+            planned = next((p for p, same in zip(passes, alike, strict=True) if same), None)
             if planned is None:
                 continue
             steps += _pass_steps(planned, before, plan, event, starts)
@@ -495,11 +481,10 @@ def spans(
             current = None
         if kind in _OPENS:
             number = event.get("number", 0)
-            segment = known.get(number)
-            if segment is None:
-                current = Span(time, last, event.get("stage", ""), _OPENS[kind], number)
-            else:
-                current = Span(segment.start, last, segment.name, _OPENS[kind], number)
+            start, name = time, event.get("stage", "")
+            if (segment := known.get(number)) is not None:
+                start, name = segment.start, segment.name
+            current = Span(start, last, name, _OPENS[kind], number)
     if current is not None:
         found += _closed(current, last, known.get(current.segment))
     cut = (dataclasses.replace(span, stop=min(span.stop, last)) for span in found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from html import escape
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +57,8 @@ def write_verdict(folder: Path, record: RunRecord) -> None:
     Only the headline is replaced, because drawing the recordings of an hour takes 20 s.
     """
     path = folder / REPORT_FILE
-    before, _, rest = (
-        path.read_text(encoding="utf-8").partition(_BEGIN) if path.is_file() else [""] * 3
-    )
+    page = path.read_text(encoding="utf-8") if path.is_file() else ""
+    before, _, rest = page.partition(_BEGIN)
     _, mark, after = rest.partition(_END)
     if mark:
         write_text(path, f"{before}{_verdict_block(folder, record)}{after}")
@@ -84,24 +84,29 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield from _part("the result", lambda: _drawn(last, plots, result))
     yield "</section>"
     yield '<div class="top"><div>'
-    yield from _part("the facts", lambda: _facts(folder, record))
+    yield from _part("the facts", lambda: [_facts(folder, record)])
     yield "</div><div>"
-    yield from _part("the stages", lambda: _stages(record))
+    header = ("stage", "state", "planned kg", "confirmed kg", "load")
+    cells = attrgetter("name", "outcome", "weight_kg", "confirmed_kg", "stage")
+    yield from _part("the stages", lambda: _table(header, [cells(s) for s in record.stages]))
     yield "</div></div>"
     for warning in record.warnings:
         yield f'<p class="warning">{escape(warning)}</p>'
     if record.state != Ending.DONE.value:
         yield "<h2>The last seconds</h2>"
         yield from _part("the last seconds", lambda: _drawn(last, plots, last_seconds))
-    yield from _part("the weight checks", lambda: _weights(record))
+    if record.weights:
+        yield "<h2>Weight checks</h2>"
+        titles = ("stage", "confirmed kg", "by friction kg", "verdict", "in words")
+        of = itemgetter("stage", "confirmed_kg", "measured_kg", "verdict", "message")
+        yield from _part("the weight checks", lambda: _table(titles, list(map(of, record.weights))))
     for number, (part, recorded) in enumerate(zip(record.parts, recordings, strict=True), start=1):
         yield f"<h2>Recording {number}: {escape(part.file)}</h2>"
-        times = f"begun {_date(part.created)}" + (
-            f", ended {_date(part.ended)}" if part.ended else ""
-        )
-        how = f"{part.state}: {part.message}" if part.message else part.state
-        if part.message == record.message:
-            how = part.state  # the top of the page has the message
+        times = f"begun {_date(part.created)}"
+        times += f", ended {_date(part.ended)}" if part.ended else ""
+        # The top of the page has the message of the run.
+        said = part.message and part.message != record.message
+        how = f"{part.state}: {part.message}" if said else part.state
         yield f"<p>{escape(f'{how}; {part.cycles} cycles, {times}')}</p>"
         yield from _part("the traces", partial(_drawn, recorded, plots, whole))
         if part.timing:
@@ -193,64 +198,32 @@ def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
     """Yield bench, time and operator in one line."""
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
-    kind = (
-        '<span class="badge">SIMULATED</span>'
-        if record.simulated
-        else '<span class="badge real">REAL BENCH</span>'
+    kind = '<span class="badge real">REAL BENCH</span>'
+    if record.simulated:
+        kind = '<span class="badge">SIMULATED</span>'
+    yield (
+        f'<p class="who"><span><i>bench</i> {escape(bench.name if bench else file)} {kind}</span>'
+        f"<span><i>begun</i> {escape(_date(record.created))}</span>"
+        f"<span><i>operator</i> {escape(record.operators_words)}</span></p>"
     )
-    facts = (
-        ("bench", f"{escape(bench.name if bench else file)} {kind}"),
-        ("begun", escape(_date(record.created))),
-        ("operator", escape(record.operators_words)),
-    )
-    cells = "".join(f"<span><i>{name}</i> {value}</span>" for name, value in facts)
-    yield f'<p class="who">{cells}</p>'
 
 
-def _facts(folder: Path, record: RunRecord) -> Iterator[str]:
-    """Yield the recorded data and their places."""
-    facts = (
-        ("recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"),
-        ("run folder", escape(str(folder.resolve()))),
+def _facts(folder: Path, record: RunRecord) -> str:
+    """Return the amount of recorded data and their place."""
+    return (
+        f"<dl><dt>recorded</dt><dd>{record.cycles} cycles of {1e3 * record.cycle_s:g} ms</dd>"
+        f"<dt>run folder</dt><dd>{escape(str(folder.resolve()))}</dd></dl>"
     )
-    yield "<dl>" + "".join(f"<dt>{name}</dt><dd>{value}</dd>" for name, value in facts) + "</dl>"
 
 
 def _date(created: str) -> str:
     return created.replace("T", " ").replace("+00:00", " UTC")
 
 
-def _stages(record: RunRecord) -> Iterator[str]:
-    yield from _table(
-        ("stage", "state", "planned kg", "confirmed kg", "load"),
-        [(s.name, s.outcome, s.weight_kg, s.confirmed_kg, s.stage) for s in record.stages],
-    )
-
-
-def _weights(record: RunRecord) -> Iterator[str]:
-    if record.weights:
-        yield "<h2>Weight checks</h2>"
-        yield from _table(
-            ("stage", "confirmed kg", "by friction kg", "verdict", "in words"),
-            [
-                (w["stage"], w["confirmed_kg"], w["measured_kg"], w["verdict"], w["message"])
-                for w in record.weights
-            ],
-        )
-
-
 def _timing(timing: Mapping[str, Any], record: RunRecord) -> Iterator[str]:
-    yield from _table(
-        ("missed SYNCs", "drive samples lost", "encoder samples lost", "oldest sample s"),
-        [
-            (
-                timing["missed_syncs"],
-                timing["lost_servo"],
-                timing["lost_encoder"],
-                timing["oldest_sample_s"],
-            )
-        ],
-    )
+    keys = ("missed_syncs", "lost_servo", "lost_encoder", "oldest_sample_s")
+    header = ("missed SYNCs", "drive samples lost", "encoder samples lost", "oldest sample s")
+    yield from _table(header, [tuple(timing[key] for key in keys)])
     simulated = f", {SIMULATED}" if record.simulated else ""
     clock = ", by the clock of this computer" if record.simulated and record.realtime else simulated
     for name, words in (
@@ -279,32 +252,25 @@ def _provenance(record: RunRecord) -> Iterator[tuple[str, str]]:
     for part in record.parts:
         yield f"{part.file}: operator", part.operator or "not given"
         yield f"{part.file}: seed", str(part.seed)
-        yield (
-            f"{part.file}: versions",
-            ", ".join(f"{name} {value}" for name, value in part.versions.items()),
-        )
+        versions = ", ".join(f"{name} {value}" for name, value in part.versions.items())
+        yield f"{part.file}: versions", versions
         for role in ("servo", "encoder", "pressure"):
             who = part.devices.get(role)
             if who is None:
                 continue
             words = f"{who['name']}, serial {who['serial_number']}, revision {who['revision']:08X}h"
-            yield (
-                f"{part.file}: {role}",
-                f"{words}, software {who['software_version'] or 'not given'}",
-            )
+            software = who["software_version"] or "not given"
+            yield f"{part.file}: {role}", f"{words}, software {software}"
     for item in record.calibrations:
         late = " (OVERDUE)" if item["overdue"] else ""
         yield f"calibration of {item['device']}", f"{item['id']}, due {item['due']}{late}"
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Iterator[str]:
-    yield (
-        '<div class="scroll"><table><tr>'
-        + "".join(f"<th>{escape(cell)}</th>" for cell in header)
-        + "</tr>"
-    )
+    titles = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    yield f'<div class="scroll"><table><tr>{titles}</tr>'
     for row in rows:
-        yield "<tr>" + "".join(_cell(value) for value in row) + "</tr>"
+        yield "<tr>" + "".join(map(_cell, row)) + "</tr>"
     yield "</table></div>"
 
 
@@ -312,9 +278,6 @@ def _cell(value: Any) -> str:
     if value is None:
         return "<td>-</td>"
     if isinstance(value, int | float):
-        return (
-            f'<td class="n">{value:.4g}</td>'
-            if isinstance(value, float)
-            else f'<td class="n">{value}</td>'
-        )
+        shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+        return f'<td class="n">{shown}</td>'
     return f"<td>{escape(str(value))}</td>"
