@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.simulation import frequency_response as fr
@@ -106,6 +106,7 @@ def test_a_position_controller_alone_is_its_torque_over_its_error() -> None:
     assert np.allclose(found["position"].response, 400.0 * PLANT * np.exp(-S * 1e-3))
 
 
+@settings(max_examples=20)
 @given(st.floats(45.0, 75.0), st.floats(6.0, 12.0))
 def test_proposed_gains_have_the_wanted_margins(phase: float, gain: float) -> None:
     seen = fr.modelled(LINES, GAINS, PLANT)

@@ -19,15 +19,18 @@ from .command import assert_in_words, rig
 pytestmark = pytest.mark.usefixtures("elsewhere")
 
 OFF = "the drive is de-energised (read back: switch on disabled)"
-EFFECTS = """\
+BROKEN = """\
+import click
 from rig.cli import entry as cli
-from rig.results.diagnose import document as effects
-def broken(shown):
+
+@click.command("broken")
+def command():
     {body}
-effects.overview = broken
+
+cli.COMMANDS["broken"] = ("__main__:command", "")
 cli.main()
 """
-"""The command line, with a part of `rig effects` replaced."""
+"""The command line with a command of its own, which loads no numerics."""
 
 
 class Broken(Exception):
@@ -170,21 +173,21 @@ def test_where_the_folder_takes_no_file_another_place_does(tmp_path, monkeypatch
     "body",
     [
         "import threading; thread = threading.Thread(target=lambda: 1 / 0); thread.start(); "
-        "thread.join(); return ''",
+        "thread.join()",
         "raise BrokenPipeError(32, 'Broken pipe')",
     ],
     ids=["thread", "pipe"],
 )
 def test_the_process_ends_with_its_own_status(tmp_path: Path, body: str) -> None:
-    ended = rig("effects", folder=tmp_path, entry=EFFECTS.format(body=body))
+    ended = rig("broken", folder=tmp_path, entry=BROKEN.format(body=body))
     assert_in_words(ended)
     assert ended.returncode == CRASHED, ended.stderr
-    assert "rig effects: the program broke down: " in ended.stderr
+    assert "rig broken: the program broke down: " in ended.stderr
     assert list(tmp_path.glob("crash-*.txt"))
 
 
 def test_an_object_that_fails_as_it_goes_is_not_shown(tmp_path: Path) -> None:
-    body = "type('Owner', (), {'__del__': lambda self: 1 / 0})(); return 'all'"
-    ended = rig("effects", folder=tmp_path, entry=EFFECTS.format(body=body))
+    body = "type('Owner', (), {'__del__': lambda self: 1 / 0})(); print('all')"
+    ended = rig("broken", folder=tmp_path, entry=BROKEN.format(body=body))
     assert_in_words(ended)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "all\n", "")

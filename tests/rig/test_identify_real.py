@@ -1,6 +1,7 @@
 """Real recordings through the whole of identification, against published values."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from rig.sources import load_source
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 
 
+@cache
 def result_of(name: str) -> Identification:
     return identify(load_source(CAMPAIGNS / name), rng=np.random.default_rng(0))
 

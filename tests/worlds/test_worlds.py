@@ -29,7 +29,7 @@ from rig.results.prove.engine import Processes
 from rig.results.prove.run import SUMS_FILE, sealed_rigs
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
-from tests.worlds.test_plants import ODE, carriage
+from tests.worlds.test_plants import carriage
 
 IN_CATALOGUE = [name for name in SIZES if not name.startswith("x_")]
 
@@ -60,7 +60,7 @@ class Follower:
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drawing, "SHORTEST_S", 1.0)
     monkeypatch.setattr(drawing, "LONGEST_S", 2.0)
-    monkeypatch.setattr(drawing, "MOST", 5)
+    monkeypatch.setattr(drawing, "MOST", 3)
 
 
 @pytest.fixture
@@ -249,7 +249,8 @@ def test_a_mass_that_is_lifted_is_a_load_of_the_campaign(tmp_path: Path) -> None
     for load in ("carriage", "hoisted", "force"):
         world = carriage(load)
         logged = [
-            columns(world, k, s, np.random.default_rng(k)) for k, s in enumerate(ODE.play(world))
+            columns(world, k, signals, np.random.default_rng(k))
+            for k, signals in enumerate(Follower().play(world))
         ]
         dataset = load_source(write_world(tmp_path / load, world, logged))
         for planned, read in zip(world.recordings, dataset.recordings, strict=True):

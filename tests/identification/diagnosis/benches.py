@@ -47,6 +47,10 @@ PLAN = (
     (20.0, ((15.0, 0.35), (4.0, 1.3)), "validate"),
 )
 """Weight in kg, tones as (deg, Hz) or a function of the duration, role."""
+FEW = (*PLAN[:2], PLAN[3], PLAN[5])
+"""Both motions, a weight and a recording set aside: enough for an effect, and quicker, since a
+diagnosis takes its time by recording.
+"""
 
 
 def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:

@@ -17,7 +17,7 @@ from identification.effects import MOTION
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.views.view import views
 
-from .benches import campaign, honest, nominal_fit
+from .benches import FEW, campaign, honest, nominal_fit
 
 
 def of(recordings: tuple[Recording, ...], seed: int = 1) -> Diagnosis:
@@ -55,7 +55,7 @@ def test_confidence_falls_with_close_rivals_with_what_is_left_and_where_more_is_
     ],
 )
 def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
-    found = of(campaign({name: parameters}, 2, 6.0))
+    found = of(campaign({name: parameters}, 2, 6.0, FEW))
     assert name in found.effects[0].alias_group
     assert found.fit.equation == equation
     for key, true in parameters.items():
@@ -66,7 +66,7 @@ def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
 
 
 def test_what_is_declared_is_not_found() -> None:
-    recordings = campaign({"backlash": {"gap_rad": 0.004}}, 2, 6.0)[:2]
+    recordings = campaign({"backlash": {"gap_rad": 0.004}}, 2, 6.0, FEW)[:2]
     found = diagnose(Dataset(recordings, Model(terms=("backlash",))), rng=np.random.default_rng(1))
     assert "backlash" not in {e.name for e in found.effects}
 

@@ -17,7 +17,7 @@ from identification.recording import Bench, Controller, Dataset, Model, Recordin
 from identification.signals import central_difference, values_at_ends
 from identification.views.view import views, voltage_is_computed
 
-from .benches import campaign, honest, nominal_fit
+from .benches import FEW, campaign, honest, nominal_fit
 
 TIME = np.arange(3000) / 140.0
 LATE_S, GAIN, SUPPLY_V = 0.007, 2.0, 6.0
@@ -77,7 +77,7 @@ def test_a_skew_is_found_whichever_channel_is_late(late: str, early: float) -> N
         return replace(recording, channels=channels)
 
     found = diagnose(
-        Dataset(tuple(skewed(r) for r in campaign({}, 21, 8.0)), Model()),
+        Dataset(tuple(skewed(r) for r in campaign({}, 21, 8.0, FEW)), Model()),
         rng=np.random.default_rng(0),
     )
     assert [e.name for e in found.effects] == ["time_skew"]

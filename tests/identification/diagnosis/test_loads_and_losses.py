@@ -4,6 +4,7 @@ its size where it is hidden, and shares a group with what these recordings canno
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.recording import Dataset, Pendulum, Recording
 
-from .benches import campaign
+from .benches import FEW, PLAN, campaign
 
 PROOF = pytest.mark.proof
 
@@ -23,9 +24,13 @@ def without(recording: Recording, *names: str) -> Recording:
 
 
 def found(
-    effects: Mapping[str, Mapping[str, float]], seed: int, *dropped: str, supply_V: float = 0.0
+    effects: Mapping[str, Mapping[str, float]],
+    seed: int,
+    *dropped: str,
+    supply_V: float = 0.0,
+    plan: Any = FEW,
 ) -> Diagnosis:
-    recordings = tuple(without(r, *dropped) for r in campaign(effects, seed, 8.0))
+    recordings = tuple(without(r, *dropped) for r in campaign(effects, seed, 8.0, plan))
     if supply_V:
         recordings = tuple(
             replace(r, bench=replace(r.bench, supply_voltage=supply_V)) for r in recordings
@@ -82,7 +87,7 @@ def test_a_declared_supply_gives_the_resistance() -> None:
 
 @PROOF
 def test_with_one_encoder_a_gap_is_a_travel_without_friction() -> None:
-    (effect,) = found({"backlash": {"gap_rad": 0.02}}, 3, "angle").effects
+    (effect,) = found({"backlash": {"gap_rad": 0.02}}, 3, "angle", plan=PLAN).effects
     assert effect.alias_group == ("friction_play", "backlash")
     assert effect.parameters["friction_share"].value == pytest.approx(1.0, abs=0.05)
 

@@ -17,7 +17,7 @@ from identification.diagnosis.significance import rests_under_torque
 from identification.recording import Dataset, Model, Recording
 from identification.views.view import View, views
 
-from .benches import campaign, nominal_fit
+from .benches import FEW, campaign, nominal_fit
 
 TEETH = 18
 RATE_HZ = 500.0
@@ -25,7 +25,7 @@ RATE_HZ = 500.0
 
 @lru_cache
 def nothing_hidden() -> dict[str, Observable]:
-    found = observable_effects(Dataset(campaign({}, 3, 6.0), Model()))
+    found = observable_effects(Dataset(campaign({}, 3, 6.0, FEW), Model()))
     return {o.name: o for o in found}
 
 
@@ -55,7 +55,7 @@ def test_an_effect_is_found_above_its_least_size_and_not_below() -> None:
     least = nothing_hidden()["gravity_imbalance"].sizes["torque_Nm"]
     for times, missing in ((0.1, False), (8.0, True)):
         hidden = {"gravity_imbalance": {"torque_Nm": times * least, "zero_rad": 0.0}}
-        found = diagnose(Dataset(campaign(hidden, 3, 6.0), Model()))
+        found = diagnose(Dataset(campaign(hidden, 3, 6.0, FEW), Model()))
         assert (found.verdict is not Verdict.NOTHING_MISSING) == missing
 
 

@@ -7,11 +7,11 @@ from identification.diagnosis.result import Verdict
 from identification.effects.own import OwnEffect, effect
 from identification.recording import Dataset, Model, Recording
 
-from .benches import campaign, with_torque
+from .benches import FEW, campaign, with_torque
 
 
 def short() -> tuple[Recording, ...]:
-    return campaign({}, 1, 4.0)
+    return campaign({}, 1, 5.0, FEW)
 
 
 @effect(k=("N m/rad^3", 0.0, 500.0))

@@ -17,14 +17,14 @@ from identification.estimate.default import identify
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification, Parameter
 
-from .benches import Same, campaign, nominal_fit
+from .benches import FEW, Same, campaign, nominal_fit
 
 HIDDEN = {"asymmetric_coulomb": {"torque_Nm": 1.5}}
 
 
 def plain_campaign() -> tuple[Recording, ...]:
     """Return a campaign that hides nothing."""
-    return campaign({}, 1, 6.0)
+    return campaign({}, 1, 6.0, FEW)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def of_honest_machine(_dataset: Dataset) -> Identification:
 
 @cache
 def of_hidden() -> tuple[Dataset, Diagnosis]:
-    dataset = Dataset(campaign(HIDDEN, 3, 6.0))
+    dataset = Dataset(campaign(HIDDEN, 3, 6.0, FEW))
     return dataset, diagnose(dataset)
 
 

@@ -26,7 +26,7 @@ from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.views.nominal import Nominal
 from identification.views.view import View, one_clock, views
 
-from .benches import campaign, nominal_fit
+from .benches import FEW, campaign, nominal_fit
 
 BLOCKS, ROWS, CANDIDATES, STUDIES = 40, 25, 20, 100
 
@@ -87,7 +87,7 @@ def test_an_effect_is_seen() -> None:
 def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again() -> None:
     """The gap is worth a thousand times the drag, and is seen by other encoders."""
     both = {"backlash": {"gap_rad": 0.002}, "asymmetric_coulomb": {"torque_Nm": 0.6}}
-    found = diagnose(Dataset(campaign(both, 10), Model()))
+    found = diagnose(Dataset(campaign(both, 10, 8.0, FEW), Model()))
     # A constant torque is one with the asymmetry, whatever the motion.
     assert found.verdict is Verdict.AMBIGUOUS
     groups = {e.name: e.alias_group[1:] for e in found.effects}
