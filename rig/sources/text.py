@@ -325,7 +325,15 @@ class DelimitedTable(Table):
                     empty += 1
                     continue
                 short += self._check_width(cells, line)
-                numbers = [self._number(cells, line, column) for column in columns]
+                numbers = []
+                for column in columns:
+                    if column + self._first_row >= len(cells):
+                        raise InputError(
+                            f"{self.path}:{line}: {len(cells)} columns, but column "
+                            f"{self._name(column)} is needed (got {text[:60]!r}); repair or remove "
+                            "the line"
+                        )
+                    numbers.append(self._number(cells[column + self._first_row], line, column))
             if empty:
                 yield from repeat([math.nan] * len(columns), empty)
                 empty = 0
@@ -373,13 +381,7 @@ class DelimitedTable(Table):
             f"the columns are uncertain; {remedy}"
         )
 
-    def _number(self, cells: Sequence[str], line: int, column: int) -> float:
-        if column + self._first_row >= len(cells):
-            raise InputError(
-                f"{self.path}:{line}: {len(cells)} columns, but column {self._name(column)} is "
-                f"needed (got {' '.join(cells)[:60]!r}); repair or remove the line"
-            )
-        text = cells[column + self._first_row]
+    def _number(self, text: str, line: int, column: int) -> float:
         if column in self._zero:
             when = nanoseconds(text)
             if when is not None:
