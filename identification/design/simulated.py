@@ -146,10 +146,7 @@ def recorded(
 
 
 def at_the_truth(
-    stages: Sequence[PlannedStage],
-    nominal: PlannedModel,
-    names: Sequence[str],
-    noise: int,
+    stages: Sequence[PlannedStage], nominal: PlannedModel, names: Sequence[str], noise: int
 ) -> Replicate | None:
     """Return a simulated run of some stages with its sensitivities at the simulated values; None
     where the filter diverges.

@@ -278,11 +278,7 @@ def _withheld(name: str, unit: str, reason: str, at_bound: bool = False) -> Para
 
 
 def _judge(
-    name: str,
-    unit: str,
-    half: float,
-    prepared: Sequence[Prepared],
-    values: Mapping[str, float],
+    name: str, unit: str, half: float, prepared: Sequence[Prepared], values: Mapping[str, float]
 ) -> Parameter:
     """Return the parameter, with a reason where the data do not determine it."""
     value, moving = values[name], [p for p in prepared if np.any(p.used)]

@@ -209,11 +209,7 @@ def equation_noise(
     return math.sqrt(max(left, 0.0))
 
 
-def corrected(
-    found: Found,
-    rng: np.random.Generator,
-    progress: Progress = silent,
-) -> Found:
+def corrected(found: Found, rng: np.random.Generator, progress: Progress = silent) -> Found:
     """Correct the bias of an accepted refinement (M33 to M36, M42) and solve the equation of the
     inertia with replicates (M32).
 

@@ -73,10 +73,7 @@ class Bias:
 
 
 def likelihood_bias(
-    joint: Point,
-    names: Sequence[str],
-    rng: np.random.Generator,
-    progress: Progress = silent,
+    joint: Point, names: Sequence[str], rng: np.random.Generator, progress: Progress = silent
 ) -> Bias | None:
     """Return the bias of the maximum-likelihood estimate at a point (M35), without the bias of the
     inertia.

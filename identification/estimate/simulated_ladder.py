@@ -560,10 +560,7 @@ class _Case:
 
 
 def climb_simulated(
-    dataset: Dataset,
-    *,
-    bandwidth_Hz: float | None,
-    progress: Progress | None = None,
+    dataset: Dataset, *, bandwidth_Hz: float | None, progress: Progress | None = None
 ) -> tuple[SimulatedRung, ...]:
     """Fit every rung to the simulated angle, with fixed and with free motor constants, and score
     the fits.
