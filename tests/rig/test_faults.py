@@ -39,7 +39,7 @@ time_s,phase,state,after_s,target,fault,value,count,device,function,deenergised_
 """
 
 
-pytestmark = pytest.mark.usefixtures("elsewhere")
+pytestmark = pytest.mark.usefixtures("elsewhere", "unpaged")
 
 
 def schedule(*rows: str) -> Path:

@@ -17,6 +17,8 @@ from ..long.fault_cases_homing import CASES, HOST
 from ..long.fault_cases_homing import run as home
 from ..long.fault_cases_makes import MODES, cases
 
+pytestmark = pytest.mark.usefixtures("unpaged")
+
 
 @pytest.mark.parametrize(
     ("name", "fault", "phase"),

@@ -24,7 +24,7 @@ HIDDEN = {"asymmetric_coulomb": {"torque_Nm": 1.5}}
 
 def plain_campaign() -> tuple[Recording, ...]:
     """Return a campaign that hides nothing."""
-    return campaign({}, 1, 6.0, FEW)
+    return campaign({}, 1, 4.0, FEW)
 
 
 @pytest.fixture(scope="module")
