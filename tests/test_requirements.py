@@ -40,7 +40,7 @@ import importlib, json, sys
 sys.modules.update(dict.fromkeys(json.loads(sys.argv[1])))
 from rig.cli.entry import COMMANDS
 for module, _ in COMMANDS.values():
-    importlib.import_module(module.partition(":")[0])
+    importlib.import_module(f"rig.cli.commands.{module}")
 importlib.import_module("rig.console.app")
 """
 

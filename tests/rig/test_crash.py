@@ -20,14 +20,16 @@ pytestmark = pytest.mark.usefixtures("elsewhere")
 
 OFF = "the drive is de-energised (read back: switch on disabled)"
 BROKEN = """\
+import sys
 import click
 from rig.cli import entry as cli
 
 @click.command("broken")
-def command():
+def broken():
     {body}
 
-cli.COMMANDS["broken"] = ("__main__:command", "")
+sys.modules["rig.cli.commands.broken"] = sys.modules["__main__"]
+cli.COMMANDS["broken"] = ("broken", "")
 cli.main()
 """
 """The command line with a command of its own, which loads no numerics."""

@@ -463,9 +463,10 @@ def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(monkeypatch, after,
     monkeypatch.setattr(diagnosing, "grown", lambda *_: False)
     errors = Fit("torque", "N m", 25.0, 1.0, after, 0.01, 1.0, after)
     shown: Any = SimpleNamespace(effects=(NAME,), main=errors, before=None, after=None)
-    assert diagnosing._doubt(shown, Judged(Verdict.NAMED, None, ())) is kind
+    left = reasons.floors_left(errors)
+    assert diagnosing._doubt(shown, Judged(Verdict.NAMED, None, ()), left) is kind
     if kind is not None:
-        reason = reasons.Reason(kind, found(1.0), (NAME,), left=reasons.floors_left(errors))
+        reason = reasons.Reason(kind, found(1.0), (NAME,), left=left)
         (text,) = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
         assert "a part of the mismatch was found" in text
         assert "asymmetric Coulomb" in text
