@@ -315,7 +315,7 @@ def experiment_views(
 
 
 def evidence(joint: Joint, here: Sequence[View], terms: Sequence[Effect] = ()) -> Evidence:
-    """Return what recordings, simulated or fitted, say about a model.
+    """Return the evidence of recordings, simulated or fitted, on a model, for least squares.
 
     Args:
         joint: Fit of the model.

@@ -45,8 +45,8 @@ def bound(matching: BlockArrow) -> Array:
 def replicate_information(
     point: Point, matching: BlockArrow, replicates: Sequence[Replicate]
 ) -> Array:
-    """Return each segment's information on the free parameters, from replicates (M37, M12), shape
-    (m, p, p).
+    """Return the Fisher information of each of the m motion segments on the p free parameters, from
+    simulated replicates (M37, M12), shape (m, p, p).
 
     ``matching``: sensitivities from matching half cycles without variance inflation, for ties and
     for samples for which there are fewer than two noise realisations. ``replicates``: replicates

@@ -184,8 +184,8 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
 def replicate_instruments(
     point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
-    """Return the instruments of every residual from replicates; a residual without a counterpart in
-    any replicate has its instrument from ``plain``.
+    """Return the instrumental variables of all residuals, averaged over simulated replicates; those
+    in ``plain`` where no replicate has the sample.
 
     Matching half cycles are few and differ slightly; a replicate is a simulation of the same motion
     with other noise. The mean over replicates is not smoothed, because the drive's response to

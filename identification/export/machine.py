@@ -55,12 +55,15 @@ SIGNALS: Mapping[str, tuple[str, str]] = {
     "angle": ("rad", "angle of the joint"),
     "velocity": ("rad/s", "speed of the joint"),
     "acceleration": ("rad/s^2", "acceleration of the joint"),
-    "sense": ("1", "direction of friction, at rest the used share of the static limit"),
+    "sense": ("1", "direction of motion, -1 or 1; at rest the share of static friction in use"),
 }
 INPUTS: Mapping[str, tuple[str, str]] = {
     "current": ("A", "motor current as the drive measures it"),
     "contact_force": ("N", "contact force F_P of the load"),
-    "load_torque": ("N m", "torque of other known loads, positive in the positive direction"),
+    "load_torque": (
+        "N m",
+        "torque of other known loads, positive if it turns the joint forward",
+    ),
     "weight_mass": ("kg", "mass on the lever"),
 }
 OUTPUTS: Mapping[str, tuple[str, str]] = {

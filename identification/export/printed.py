@@ -31,7 +31,7 @@ class Language:
     truth: tuple[str, str]
 
     def write(self, each: Node, operands: Sequence[str]) -> str:
-        """Return an operation as text."""
+        """Return one operation of the graph of equations as source text of this language."""
         operation = each.operation
         form = self.forms.get(operation)
         if form is None:

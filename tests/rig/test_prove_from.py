@@ -164,7 +164,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
         ("truth: 1\neffects: {backlash: {gap: 1}}\n", "no parameter of backlash"),
         ("truth: 1\neffects: {cogging: {}}\noutside: [cogging]\n", "is an effect of the catalogue"),
         ("truth: 1\noutside: [mine]\n", "not among effects"),
-        ("truth: 1\nnot_scored: [J]\n", "neither an effect"),
+        ("truth: 1\nnot_scored: [J]\n", "unknown name; state a nominal parameter"),
         ("truth: 2\n", "truth"),
         ("effects: {}\n", "truth"),
     ],

@@ -132,7 +132,8 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
         if not listed:
             yield (
                 ("not_scored", k),
-                "neither an effect, nor effect.parameter, nor a nominal parameter",
+                "unknown name; state a nominal parameter, an effect, or EFFECT.PARAMETER of an "
+                "effect of this rig",
             )
 
 

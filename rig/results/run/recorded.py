@@ -542,7 +542,7 @@ def _moment_of(
 
 
 def with_braking(found: Sequence[Span], moment: Moment) -> list[Span]:
-    """Return the spans; the time after the end of the run is marked as braking."""
+    """Return the spans of the phases up to the end of the run, and the braking after it."""
     cut: list[Span] = []
     for span in found:
         if span.start < moment.time:
