@@ -244,7 +244,8 @@ def _with_own_starts(main: Fit, found: Search, aside: Sequence[View]) -> Fit:
     start, if these states are unknown because the recordings have no common clock.
     """
     every = [v.recording for v in (*found.baseline.views, *aside)]
-    if main.validate_final_rms is None or one_clock(every):
+    starts = any(e.term.start for e in found.final.effects)
+    if main.validate_final_rms is None or not starts or one_clock(every):
         return main
     fitted = validation_rms(found.final, aside).get(main.equation, main.validate_final_rms)
     return replace(main, validate_final_rms=min(main.validate_final_rms, fitted))

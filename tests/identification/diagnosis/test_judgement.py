@@ -471,3 +471,14 @@ def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(monkeypatch, after,
         assert "a part of the mismatch was found" in text
         assert "asymmetric Coulomb" in text
         assert "35.0 times the noise floor" in text
+
+
+def test_an_effect_without_a_state_at_the_start_is_judged_by_the_printed_error() -> None:
+    """Whatever the clocks are: the errors are those of the exported model."""
+    effect = SimpleNamespace(term=TERM["cogging"])
+    search: Any = SimpleNamespace(
+        baseline=SimpleNamespace(views=()), final=SimpleNamespace(effects=(effect,))
+    )
+    views: Any = [SimpleNamespace(recording=SimpleNamespace(session="", span=(0.0, 1.0)))] * 2
+    errors = Fit("torque", "N m", 25.0, 1.0, 0.1, 0.01, 1.0, 0.1)
+    assert diagnosing._with_own_starts(errors, search, views) is errors
