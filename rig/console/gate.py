@@ -14,6 +14,7 @@ import asyncio
 import base64
 import hashlib
 import secrets
+from collections import deque
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -131,9 +132,19 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
     A WebSocket leaves this protocol when its request is complete.
     """
     held: dict[Bounded, float] = {}
+    waiting: deque[Bounded] = deque()
+
+    def read_next() -> None:
+        """Read what the connection that has waited longest was sent."""
+        first = waiting.popleft()
+        if waiting:
+            first.loop.call_soon(read_next)
+        first.read_late()
 
     class Bounded(H11Protocol):
-        """HTTP connection of a bounded number."""
+        """HTTP connection of a bounded number; its commands pass all other requests."""
+
+        _late = b""
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             """Register the connection; close another one if there are too many."""
@@ -151,6 +162,30 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
                 del held[closed]
                 closed.transport.abort()
 
+        def data_received(self, data: bytes) -> None:
+            """Read a command at once; put anything else in the queue of all connections.
+
+            One request of the queue is read in each turn of the event loop, so that a command never
+            waits for more than one of them.
+            """
+            if self.commands or data.startswith(b"POST "):
+                super().data_received(data)
+                return
+            self.flow.pause_reading()
+            if not self._late:
+                waiting.append(self)
+                if len(waiting) == 1:
+                    self.loop.call_soon(read_next)
+            # The end of an earlier answer lets a connection be read again before its turn.
+            self._late += data
+
+        def read_late(self) -> None:
+            """Read what has waited in the queue, unless the connection was closed meanwhile."""
+            data, self._late = self._late, b""
+            if not self.transport.is_closing():
+                self.flow.resume_reading()
+                super().data_received(data)
+
         def connection_lost(self, exc: Exception | None) -> None:
             """Forget the connection."""
             self._leave()
@@ -167,8 +202,8 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
 
         @property
         def asked(self) -> bool:
-            """Whether the head of a request was read."""
-            return getattr(self, "cycle", None) is not None
+            """Whether a request was read, or waits in the queue."""
+            return bool(self._late) or getattr(self, "cycle", None) is not None
 
         @property
         def commands(self) -> bool:

@@ -262,6 +262,11 @@ class Wire:
     def abort(self) -> None:
         self.aborted = True
 
+    def do_nothing(self, *_: object) -> None:
+        pass
+
+    pause_reading = resume_reading = write = close = do_nothing
+
     def get_extra_info(self, name: str) -> None:
         return None
 
@@ -300,6 +305,44 @@ def test_a_connection_that_may_bring_a_command_is_closed_last(apart_s, count, cl
         return [each.aborted for each in wires]
 
     assert {n for n, aborted in enumerate(asyncio.run(opening())) if aborted} == closed
+
+
+def test_a_command_passes_the_requests_that_wait() -> None:
+    """Every other request is answered once, in the order of its connection."""
+    count = 20
+
+    async def asking() -> list[str]:
+        order, answered = [], asyncio.Event()
+
+        async def listing(scope: dict[str, Any], receive: object, send: Callable[..., Any]) -> None:
+            order.append(scope["path"])
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            await send({"type": "http.response.body", "body": b""})
+            if len(order) == 2 * count + 1:
+                answered.set()
+
+        config = uvicorn.Config(listing)
+        config.load()
+        kind, made = bounded(), []
+        for _ in range(count + 1):
+            made.append(kind(config, ServerState(), {}))
+            made[-1].connection_made(Wire())  # type: ignore[arg-type]
+        for number, each in enumerate(made[:-1]):
+            each.data_received(f"GET /{number}/a HTTP/1.1\r\nHost: here\r\n\r\n".encode())
+            # A client that does not wait for its answer.
+            for part in (f"GET /{number}/b HT", "TP/1.1\r\nHost: here\r\n\r\n"):
+                each.data_received(part.encode())
+        made[-1].data_received(b"POST /stop HTTP/1.1\r\nHost: here\r\nContent-Length: 0\r\n\r\n")
+        await asyncio.wait_for(answered.wait(), 20.0)
+        for each in made:
+            each.connection_lost(None)
+        return order
+
+    order = asyncio.run(asking())
+    assert order[0] == "/stop"
+    asked = [f"/{number}/{part}" for number in range(count) for part in "ab"]
+    assert sorted(order[1:]) == sorted(asked)
+    assert all(order.index(f"/{n}/a") < order.index(f"/{n}/b") for n in range(count))
 
 
 @pytest.mark.parametrize("may", [True, False])
