@@ -316,7 +316,7 @@ class Servo(SpeedRemedies, Device):
 
     @abstractmethod
     def state(self) -> ServoState:
-        """Read the drive's state from the device (6041h), not from a cached frame."""
+        """Read the drive's state from the device, not from a cached frame."""
 
     def sent_state(self) -> ServoState | None:
         """Return the state in the last exchange, or None if it contained none. Nothing is sent."""
@@ -379,7 +379,7 @@ class Servo(SpeedRemedies, Device):
 
     @abstractmethod
     def disable(self) -> None:
-        """Take the power off, and verify by reading 6041h that it is off.
+        """Take the power off, and verify by the drive's state that it is off.
 
         Raises:
             StateError: The drive still reports an energised state.

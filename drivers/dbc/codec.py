@@ -1,4 +1,5 @@
-"""Packs and unpacks signals of CAN frames by bit shifts, and computes checksums of frames.
+"""Packs and unpacks signals of CAN frames by bit shifts, computes checksums, and holds the records
+of a resolved map: messages, quantities and orders.
 
 All functions are pure functions of bytes.
 """

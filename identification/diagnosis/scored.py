@@ -1,5 +1,5 @@
-"""Reported constants and errors of a diagnosis: the errors are those of the exported model, and are
-computed last, by the function with which every command predicts recordings.
+"""Reported constants and errors of a diagnosis, which are computed last: the errors are those of
+the exported model, by the function with which every command predicts recordings.
 """
 
 from __future__ import annotations

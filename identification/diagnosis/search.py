@@ -312,7 +312,7 @@ class _Selection:
         for k in ranked:
             turned = own[k].term.one_sided and own[k].coefficients[0] < 0.0
             if turned and preference(fitted[k], best) >= RULES.rejected:
-                why = "fits better than any other effect, but with a size of the opposite sign"
+                why = "fits best, but only with a negative size, which this effect cannot have"
                 gain = self.joint.cost - fitted[k].cost
                 self._note("stop", finalists[k].name, test, gain, why)
                 return False

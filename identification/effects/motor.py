@@ -109,8 +109,7 @@ def _waves(context: Context) -> Sequence[Shape]:
 def _loss(view: View) -> Array:
     """Return the heat loss of the winding, W: electrical less mechanical power, I (U - Ke omega).
 
-    Without a voltage, the loss is R I^2, which omits the rise of R, some per cent in a warm
-    winding.
+    Without a voltage, the loss is R I^2, which omits the rise of R, for copper 0.39 % per K.
     """
     assert view.current is not None
     bench = view.recording.bench

@@ -197,7 +197,7 @@ class Backlash(Clearance, Effect):
 
     equation = """theta stands while |phi / i - theta| < gap / 2, else phi / i - theta = gap / 2
         sgn(M)"""
-    assumption = "assumption A5: no mechanical clearance, theta = i theta_r"
+    assumption = "assumption A5: no mechanical clearance, phi = i theta"
     shows_in = "transmission"
     coordinate = """travel since reversal: a step of fixed size of the angle difference at each
         reversal of torque"""
@@ -292,7 +292,7 @@ class GearMeshRipple(Effect):
 
     equation = """phi / i - theta = A sin(n theta + p); M = i Km I (1 + A n cos(n theta + p)) (if
         with_torque = 1)"""
-    assumption = "assumption A5: theta = i theta_r with one constant ratio i"
+    assumption = "assumption A5: phi = i theta with one constant ratio i"
     shows_in = "transmission"
     coordinate = """angle: periodic in the joint's angle, the same in both directions and at any
         speed and load"""

@@ -229,8 +229,8 @@ def _unresolved(active: Sequence[Prepared]) -> list[str]:
     if not idle:
         return []
     return [
-        f"{listed(idle)}: not used by the equation error, because at a bandwidth of "
-        f"{active[0].bandwidth_Hz:.3g} Hz no filter window consists of samples in motion only"
+        f"{listed(idle)}: not used for the start values, because at a bandwidth of "
+        f"{active[0].bandwidth_Hz:.3g} Hz the joint rests within every filter window"
     ]
 
 
@@ -326,7 +326,7 @@ LONG_SAMPLES = 200_000
 """Number of samples to fit above which recordings are processed in pieces, which is faster."""
 _TOO_LONG = (
     "no profiles and no bootstrap: these are computed only if all recordings together have "
-    f"at most {LONG_SAMPLES} samples; use shorter recordings"
+    f"at most {LONG_SAMPLES} samples; use fewer or shorter recordings"
 )
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000

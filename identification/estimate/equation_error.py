@@ -551,8 +551,8 @@ def noise_floor(
     """Return the floor from periods within recordings and from repeated recordings, or None if no
     motion is repeated.
 
-    ``values``: parameters of a fit; the repeating part of the fit's error cancels in the
-    differences.
+    ``values``: parameters of a fit; the repeating part of the fit's error cancels where the
+    residuals of two periods, or of two recordings of one motion, are subtracted.
     """
     residuals = {id(p): p.torque - model_torque(p, values, alpha) for p in prepared}
     total = samples = 0.0

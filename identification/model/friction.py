@@ -85,7 +85,7 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
 
 @inlined
 def static_friction(moment: float, p: Array) -> float:
-    """Return the static limit without gear load (M3), N m."""
+    """Return the static limit (M3) without the terms in the transmitted load, N m."""
     limit: float = p[MC] + p[SYSTEM_RISE] + moment * (p[MU_C] + p[LOAD_RISE])
     return limit
 

@@ -1,4 +1,5 @@
-"""Parameters of the nominal model: names, units, and places in the vector for compiled kernels.
+"""Parameters of the nominal model and of the ladder of friction models: names, units, and places in
+the vector for compiled kernels.
 
 The vector holds the rises dM = Ms - Mc and dmu = mu_s - mu_c, and not the static levels of the
 tables, because searches bound the rises and regressions are linear in the rises.

@@ -1,4 +1,4 @@
-"""Simulates a fitted model in the position loop of its recording."""
+"""Simulates a fitted model in the recording's position loop, or driven by the recorded torque."""
 
 from __future__ import annotations
 

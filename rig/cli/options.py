@@ -117,7 +117,7 @@ first_pass: Decorator = click.option(
     "--first-pass/--no-first-pass",
     default=None,
     help="Run a first pass at 10 % amplitude before each stage. [default: on a real bench, "
-    "or with --identification]",
+    "and of rig run with --identification]",
 )
 
 

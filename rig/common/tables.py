@@ -1,4 +1,4 @@
-"""Makes aligned text tables for the terminal."""
+"""Formats numbers and intervals for terminal and pages; aligned text tables for the terminal."""
 
 from __future__ import annotations
 

@@ -323,7 +323,7 @@ class Sequence(Schema):
     def _something_is_fitted(self) -> Self:
         fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
         if not fitted:
-            raise ValueError("every stage has role validate; give at least one stage role fit")
+            raise ValueError("every stage has role validate; set role: fit for one stage")
         aside = [
             stage.name
             for stage in self.stages

@@ -203,7 +203,7 @@ class Links:
         )
 
     async def _once(self, path: str, order: Order) -> tuple[bool, dict[str, Any] | None]:
-        """Send a command once; return whether it was queued, and the answer in time, or None."""
+        """Send a command once; return whether the run's socket took it, and the answer, or None."""
         future: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._waiting[order.number] = future
         sent = False

@@ -1,4 +1,6 @@
-"""Opens the control socket of a run, and states bench, plan and limits to ``rig console``."""
+"""Shows the progress of a run in its terminal, opens its control socket, and states bench, plan and
+limits to ``rig console``.
+"""
 
 from __future__ import annotations
 

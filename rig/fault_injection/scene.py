@@ -66,9 +66,9 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
         )
     if row.target == "drive":
         if row.fault in _CANOPEN_DRIVE and (serial or own_frames):
-            return f"drive {row.fault} is for CANopen drives on CAN; leave this fault out"
+            return f"the fault {row.fault} exists only for CANopen drives on CAN; leave it out"
         if row.fault in _DBC_DRIVE and not own_frames:
-            return f"drive {row.fault} is for drives of kind dbc; leave this fault out"
+            return f"the fault {row.fault} exists only for drives of kind dbc; leave it out"
         if row.fault == "quick_stop_option" and own_frames:
             return "a drive of kind dbc has no 605Ah; leave this fault out"
         if row.fault == "fault" and own_frames and (row.amount or 0) > _LARGEST_CODE:

@@ -52,7 +52,7 @@ HANG_S, CONFIRM_S, START_S = 60.0, 10.0, 30.0
 prompt whose weight already hangs, and of the start of a run with its checks, s.
 """
 SHARE = 0.85
-"""Share of a limit of angle, speed, current, torque and supply that a simulated experiment may
+"""Share of a limit of angle, speed, current and torque that a simulated experiment may
 reach under any hypothesis; that of the planned experiments of ``rig identify --plan``.
 """
 FOLLOWING_SHARE = 0.5

@@ -129,6 +129,8 @@ def by_segment(
             elif isinstance(item, Block):
                 for k, values in held.items():
                     mine = item.samples["segment"] == k
+                    if not mine.any():
+                        continue
                     for name, grown in values.items():
                         grown.frombytes(item.samples[name][mine].tobytes())
     return {

@@ -144,7 +144,9 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, bytes | bytearray | str):
         return None
-    if (descriptor := getattr(value, "DESCRIPTOR", None)) is not None:
+    descriptor = getattr(value, "DESCRIPTOR", None)
+    # protobuf's Struct and ListValue are messages that behave as a mapping and a list.
+    if descriptor is not None and not hasattr(value, "__len__"):
         kind = descriptor.full_name
         fields = (f for f in descriptor.fields if not f.has_presence or value.HasField(f.name))
         members = {field.name: _plain(getattr(value, field.name)) for field in fields}

@@ -104,8 +104,8 @@ def _sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> It
 
 
 MAGNITUDE = (
-    "state `unsigned: true` at this channel, and log it with its sign, or use `torque` or "
-    "`voltage` instead"
+    "log it with its sign, or map another channel that has one (`torque`, `current` or "
+    "`voltage`); `unsigned: true` only declares a magnitude, which is then not used"
 )
 FEW, SMALL = 0.05, 0.03
 """Greatest share of samples of a magnitude that noise puts below zero, and of their sum."""

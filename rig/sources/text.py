@@ -11,9 +11,10 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import date
-from itertools import islice, repeat
+from itertools import chain, islice, repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TextIO, cast
 
@@ -297,8 +298,8 @@ class DelimitedTable(Table):
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         with open_text(self.path, self._encoding) as stream:
-            row: Any = (np.float64, len(columns))
-            table: Array = np.fromiter(self._numbers(stream, columns), row)
+            cells = chain.from_iterable(self._numbers(stream, columns))
+            table = np.fromiter(cells, np.float64).reshape(-1, len(columns))
         if table.size == 0:
             raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
         return [table[:, k] for k in range(len(columns))]
@@ -314,8 +315,11 @@ class DelimitedTable(Table):
     def _numbers(self, stream: TextIO, columns: Sequence[int]) -> Iterator[list[float]]:
         """Yield the required cells of each row; rows without values are missing samples."""
         empty = short = 0
+        places = [column + self._first_row for column in columns]
+        # With one place, itemgetter would return no tuple.
+        pick = itemgetter(*places) if len(places) > 1 else lambda cells: [cells[places[0]]]
         for line, text in self._rows(stream):
-            numbers = self._plain_numbers(text, columns)
+            numbers = self._plain_numbers(text, pick)
             if numbers is None:
                 cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
                 if cells[0].lower() in END_MARKS and not any(cells[1:]):
@@ -326,14 +330,14 @@ class DelimitedTable(Table):
                     continue
                 short += self._check_width(cells, line)
                 numbers = []
-                for column in columns:
-                    if column + self._first_row >= len(cells):
+                for place, column in zip(places, columns, strict=True):
+                    if place >= len(cells):
                         raise InputError(
                             f"{self.path}:{line}: {len(cells)} columns, but column "
                             f"{self._name(column)} is needed (got {text[:60]!r}); repair or remove "
                             "the line"
                         )
-                    numbers.append(self._number(cells[column + self._first_row], line, column))
+                    numbers.append(self._number(cells[place], line, column))
             if empty:
                 yield from repeat([math.nan] * len(columns), empty)
                 empty = 0
@@ -343,7 +347,9 @@ class DelimitedTable(Table):
         if short:
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
-    def _plain_numbers(self, text: str, columns: Sequence[int]) -> list[float] | None:
+    def _plain_numbers(
+        self, text: str, pick: Callable[[list[str]], Iterable[str]]
+    ) -> list[float] | None:
         """Return the required cells of a row that needs no further care, which is fast."""
         if self._decimal != "." or self._zero or '"' in text or "_" in text:
             return None
@@ -351,7 +357,7 @@ class DelimitedTable(Table):
         if len(cells) != len(self.names) + self._first_row:
             return None
         try:
-            return [float(cells[column + self._first_row]) for column in columns]
+            return list(map(float, pick(cells)))
         except ValueError:
             return None
 

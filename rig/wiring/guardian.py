@@ -11,9 +11,9 @@ the guardian answers it with :data:`ALIVE`. The guardian acts in three cases:
 - no line arrives for ``limit_s``: the other program hangs, or was suspended.
 
 First the guardian writes ``took over`` to the standard output, so that the other program does not
-use the port if it continues. Then the guardian brakes the drive, takes the power off, reads 6041h
-back, writes its report next to the recording, and writes a line with the result to the standard
-output. A full output never blocks the guardian.
+use the port if it continues. Then the guardian brakes the drive, takes the power off, proves it
+off by state, current and motion, writes its report next to the recording, and writes a line with
+the result to the standard output. A full output never blocks the guardian.
 
 If this fails, the guardian tries again without a limit, and opens the port again if the adapter was
 unplugged. It ends when the drive is verified off, or when ``rig off`` takes the drive over by

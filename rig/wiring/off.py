@@ -187,8 +187,9 @@ class OffProof:
         """Observe the drive by requests until it is proved off, or until the patience ends. Nothing
         is commanded, and no error is raised.
 
-        After current has flowed in a joint at rest although the drive reported off, no later proof
-        succeeds: a position loop that goes on working may need little current at times.
+        If the motor carried current while the joint rested and the drive reported off, every later
+        proof fails too: a position loop that is still active may need so little current at times
+        that a later window looks off.
 
         Args:
             steps: Stores the errors of the reads.

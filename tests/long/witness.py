@@ -108,7 +108,7 @@ def main() -> None:
     WATCHED.get(sys.argv[1], lambda: None)()
     if "WITNESS_READY" in os.environ:
         for name in WATCHED:
-            import_module(cli.COMMANDS[name][0].partition(":")[0])
+            import_module(f"rig.cli.commands.{cli.COMMANDS[name][0]}")
         tell(phase="ready")
         wait_at_gate("ready", HELD_S)
     cli.main()

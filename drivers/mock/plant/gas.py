@@ -2,7 +2,7 @@
 
     dm/dt = rho_b A_b r - p A_t / C_r,    dV/dt = A_b r,    p = m R_g T_g / V,    r = a p^n
 
-is eq. 7, with the mass m of the stored gas as the state. It includes the gas density. Eq. 8
+These are eq. 7, with the mass m of the stored gas as the state; they include the gas density. Eq. 8
 neglects the gas density; this is equivalent to a gas source of rho_g A_b r, so that one time step
 solves eq. 7 and eq. 8. The method is SDIRK of second order (Alexander). It must be L-stable,
 because the pressure may settle within one step if the free volume is small or the throat is open.

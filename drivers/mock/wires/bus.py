@@ -116,7 +116,7 @@ class SimulatedBus(can.BusABC):
         return self._times[0 if identifier & REMOTE_FLAG else len(data)]
 
     def _arrived(self) -> None:
-        """Deliver the frame, and those that follow it up to the next event of another kind."""
+        """Deliver the frame on the wire and the next ones, until another event is due."""
         clock, contenders = self._clock, self._contenders
         now = clock.now_ns()
         while (sender := self._sender) is not None:

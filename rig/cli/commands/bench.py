@@ -59,10 +59,10 @@ def check(bench: str, seed: int, json_file: Path | None) -> int:
     Nothing moves, nothing is energised, and no value is written to a device.
 
     The exit status is 1 if `rig run` would refuse to start on this bench; the reasons are printed:
-    a limit looser than the drive's own limit, units that differ between file and device, an overdue
-    calibration, implausible constants, a drive that is energised or in fault, or a reading beyond
-    its limit. If the drive reports off, but current flows or the joint moves, the exit status is 4.
-    If the connection to the bench fails, the exit status is 2 or 4.
+    a limit looser than the drive's own limit, units that differ between file and device, a
+    calibration that is overdue and must not be, implausible constants, a drive that is energised or
+    in fault, or a reading beyond its limit. If the drive reports off, but current flows or the
+    joint moves, the exit status is 4. If the connection to the bench fails, it is 2 or 4.
 
     \b
     Example:

@@ -1,4 +1,6 @@
-"""``rig identify``: identifies a run or a campaign in stages, with tables, figures and a report."""
+"""``rig identify`` and ``rig simulate``: identify a run or a campaign in stages, with tables,
+figures and a report, and predict recordings from a result.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ FIRST = "figure10"  # sequence of the first run if neither a sequence nor a run 
 @click.option(
     "--question",
     metavar='"A, B"',
-    help="Names of effects; only these, and that nothing is missing, are weighed.",
+    help="Names of effects: only hypotheses made of these, and that nothing is missing, are "
+    "compared.",
 )
 @shared.path(
     "--confirm",
@@ -264,7 +265,7 @@ def _report(
 @shared.path(
     "--out", "Sequence file of the experiment.", type=shared.FILE, default=Path("next.yaml")
 )
-@click.option("--question", metavar='"A, B"', help="Names of the only effects that are weighed.")
+@click.option("--question", metavar='"A, B"', help="Names of effects, as for rig investigate.")
 @shared.seed()
 @shared.result_file
 def design(

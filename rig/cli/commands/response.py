@@ -42,7 +42,9 @@ def _of_a_run(command: Callable[..., int]) -> Callable[..., int]:
         ),
         shared.realtime,
         shared.yes,
-        shared.out_folder("Folder for run, result and report. [default: ./BENCH-response]"),
+        shared.out_folder(
+            "Folder for run, result and report. [default: ./BENCH-response, ./BENCH-tune]"
+        ),
     ):
         command = option(command)
     return command

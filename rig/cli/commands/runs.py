@@ -344,10 +344,10 @@ def _one(run: Path) -> Entry:
 
 def _show(document: Document, out: Path | None) -> None:
     """Print a document, and write its page if requested."""
-    from rig.results.document import PAGE_FILE, shown, text
+    from rig.results.document import PAGE_FILE, text, write_page
 
-    if out is None:
-        click.echo(text(document))
-        return
-    require_folder(out, "--out")
-    click.echo(shown(document, out / PAGE_FILE, "page"))
+    click.echo(text(document))
+    if out is not None:
+        require_folder(out, "--out")
+        write_page(document, out / PAGE_FILE)
+        click.echo(f"page: {out / PAGE_FILE}")

@@ -13,6 +13,7 @@ from google.protobuf.descriptor_pb2 import (
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message_factory import GetMessageClass
+from google.protobuf.struct_pb2 import Struct
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
@@ -115,11 +116,12 @@ def protobuf_state() -> type:
     add(name="span", number=4, type=11, label=1, type_name=".google.protobuf.Duration")
     add(name="word", number=5, type=kinds.TYPE_STRING, label=1)
     add(name="maybe", number=6, type=kinds.TYPE_FLOAT, label=1, oneof_index=0, proto3_optional=True)
+    add(name="more", number=7, type=11, label=1, type_name=".google.protobuf.Struct")
     state.oneof_decl.add(name="_maybe")
     file = FileDescriptorProto(name="state.proto", package="my", syntax="proto3")
     file.message_type.append(state)
     pool = DescriptorPool()
-    for kind in (Timestamp, Duration):
+    for kind in (Timestamp, Duration, Struct):
         own = FileDescriptorProto()
         kind.DESCRIPTOR.file.CopyToProto(own)
         pool.Add(own)
@@ -138,6 +140,7 @@ def test_protobuf_with_repeated_messages(tmp_path: Path) -> None:
             message.span.FromNanoseconds(-500_000_000)
             message.motors.add(current=CURRENT[k])
             message.motors.add(angle=ANGLE[k])
+            message.more.update({"current": CURRENT[k], "pair": [float(k), 2.0]})
             if k % 2:
                 message.maybe = 1.5
             writer.write_message("/state", message, now, now)
@@ -150,6 +153,8 @@ def test_protobuf_with_repeated_messages(tmp_path: Path) -> None:
     by_name = {name: table.read([k])[0] for k, name in enumerate(table.names)}
     same(by_name["/state.motors[1].current"], np.zeros(N))
     same(by_name["/state.span"], np.full(N, -0.5))
+    same(by_name["/state.more.current"], CURRENT)
+    same(by_name["/state.more.pair[0]"], np.arange(N))
     same(by_name["/state.count"], np.where(np.arange(N) > 0, 2.0**50 + np.arange(N), 0.0))
     same(by_name["/state.maybe"], np.where(np.arange(N) % 2, 1.5, np.nan))
 
