@@ -257,9 +257,9 @@ def _spoiled(encoded: Callable[[], bytes], rng: np.random.Generator) -> bytes:
         match int(rng.integers(4)):
             case 0:
                 good = bytearray(rng.bytes(len(good)))
-            case 1:
+            case 1 if good:
                 good[rng.integers(len(good))] ^= 1 << int(rng.integers(8))
-            case 2:
+            case 2 if good:
                 del good[rng.integers(len(good))]
         line += good
     return bytes(line)
