@@ -282,7 +282,7 @@ def test_a_magnitude_with_noise_below_zero_is_recognised(tmp_path: Path) -> None
     assert "`unsigned: true`" in note
     falling = np.column_stack([TIME, size, -TIME])
     text = "t,i,q\n" + "\n".join(lines_of(",", falling))
-    with pytest.raises(InputError, match=r"keeps one sign .* state `unsigned: true`") as refused:
+    with pytest.raises(InputError, match=r"keeps one sign .* `unsigned: true`") as refused:
         load(tmp_path, text, "{time: t, current: i, angle: q}")
     assert "negate" not in str(refused.value)
 
