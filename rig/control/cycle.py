@@ -28,6 +28,10 @@ FAR_SHARE: Final = 0.5
 the limit of the following error; beyond the limit some drives start a ramp that no order ends.
 """
 FIRST_WITHIN_NS: Final = NS // 200  # longest wait for the first cycle of the braking, ns
+SPACING: Final = 0.9
+"""Shortest time between two targets after a late cycle, as a share of the period: some drives take
+the time between targets as the time of the step, so that a late cycle would double their speed.
+"""
 
 
 Progress = Callable[[str, int, Sample], None]
@@ -55,6 +59,7 @@ class Cycle:
     """Runs control cycles at a fixed period.
 
     A cycle that starts more than a period late delays all later cycles; the time is not made up.
+    Less is made up in several cycles, each at least :data:`SPACING` of a period long.
 
     Args:
         limits: Limits that are checked on every sample, until :meth:`use` changes them.
@@ -312,7 +317,7 @@ class Cycle:
 
     def _start_grid(self, now_ns: int) -> None:
         """Set the start of the next cycle to the present time, for the real clock as well."""
-        self._next_ns = now_ns
+        self._next_ns = self._earliest_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
 
@@ -333,9 +338,12 @@ class Cycle:
         link, clock = self._link, self._clock
         self._target = target
         begin_ns = self._next_ns
+        earliest_ns = begin_ns if braking else max(begin_ns, self._earliest_ns)
         paced_late_ns = 0 if self._pacer is None else self._pace(self._pacer, begin_ns)
-        clock.sleep_until_ns(begin_ns)
-        late_ns = clock.now_ns() - begin_ns
+        clock.sleep_until_ns(earliest_ns)
+        started_ns = clock.now_ns()
+        self._earliest_ns = started_ns + round(SPACING * self._period_ns)
+        late_ns = started_ns - begin_ns
         if self._suspension is not None and not braking:
             slept_ns = self._suspension.passed_ns()
             if slept_ns:

@@ -11,7 +11,7 @@ from drivers.clock import SimulatedClock, Suspension
 from drivers.interfaces import EncoderSample, Lacks, PressureSample, RawFrame, ServoSample
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
-from rig.control.cycle import Cycle, TripError
+from rig.control.cycle import SPACING, Cycle, TripError
 from rig.control.safety import Check, Trip
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError, StopButton
@@ -410,8 +410,19 @@ def test_a_cycle_more_than_a_period_late_moves_the_grid(late_ns, overruns, misse
     moved = late_ns if overruns else 0
     assert bench.exchanged[2] == 2_000_000 + late_ns
     assert bench.recorded[2][0] == 2_000_000 + moved
-    # Late by a period or less, the next one makes up for it.
     assert bench.recorded[3][0] == 3_000_000 + moved
+
+
+def test_the_targets_after_a_late_one_come_no_faster_than_the_spacing():
+    bench = Bench()
+    cycle = begun(bench)
+    late_ns = PERIOD_NS // 4
+    bench.actions[2] = lambda: bench.clock.sleep_until_ns(START_NS + 2 * PERIOD_NS + late_ns)
+    cycle.follow([0.1] * 6, 1, "empty")
+    began = np.array(bench.exchanged[2:]) - np.arange(2, 7) * PERIOD_NS
+    spaced = (late_ns - k * round((1.0 - SPACING) * PERIOD_NS) for k in range(5))
+    assert began.tolist() == [max(late, 0) for late in spaced]
+    assert [time_ns for time_ns, *_ in bench.recorded] == [k * PERIOD_NS for k in range(7)]
 
 
 def test_lateness_is_judged() -> None:
