@@ -166,9 +166,9 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
             """Read a command at once; put anything else in the queue of all connections.
 
             One request of the queue is read in each turn of the event loop, so that a command never
-            waits for more than one of them.
+            waits for more than one of them. The requests of one connection are read in their order.
             """
-            if self.commands or data.startswith(b"POST "):
+            if not self._late and (self.commands or data.startswith(b"POST ")):
                 super().data_received(data)
                 return
             self.flow.pause_reading()

@@ -318,7 +318,7 @@ def test_a_command_passes_the_requests_that_wait() -> None:
             order.append(scope["path"])
             await send({"type": "http.response.start", "status": 200, "headers": []})
             await send({"type": "http.response.body", "body": b""})
-            if len(order) == 2 * count + 1:
+            if len(order) == 3 * count + 1:
                 answered.set()
 
         config = uvicorn.Config(listing)
@@ -329,8 +329,9 @@ def test_a_command_passes_the_requests_that_wait() -> None:
             made[-1].connection_made(Wire())  # type: ignore[arg-type]
         for number, each in enumerate(made[:-1]):
             each.data_received(f"GET /{number}/a HTTP/1.1\r\nHost: here\r\n\r\n".encode())
-            # A client that does not wait for its answer.
-            for part in (f"GET /{number}/b HT", "TP/1.1\r\nHost: here\r\n\r\n"):
+            # A client that does not wait for its answer, not even before a command.
+            rest = "TP/1.1\r\nHost: here\r\n\r\n"
+            for part in (f"GET /{number}/b HT", rest, f"POST /{number}/c HT{rest}"):
                 each.data_received(part.encode())
         made[-1].data_received(b"POST /stop HTTP/1.1\r\nHost: here\r\nContent-Length: 0\r\n\r\n")
         await asyncio.wait_for(answered.wait(), 20.0)
@@ -340,9 +341,11 @@ def test_a_command_passes_the_requests_that_wait() -> None:
 
     order = asyncio.run(asking())
     assert order[0] == "/stop"
-    asked = [f"/{number}/{part}" for number in range(count) for part in "ab"]
+    asked = [f"/{number}/{part}" for number in range(count) for part in "abc"]
     assert sorted(order[1:]) == sorted(asked)
-    assert all(order.index(f"/{n}/a") < order.index(f"/{n}/b") for n in range(count))
+    for number in range(count):
+        places = [order.index(f"/{number}/{part}") for part in "abc"]
+        assert places == sorted(places)
 
 
 @pytest.mark.parametrize("may", [True, False])
