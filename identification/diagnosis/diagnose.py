@@ -51,7 +51,11 @@ from identification.diagnosis.scored import (
     unreported_constants,
 )
 from identification.diagnosis.search import Options, Progress, Search, search
-from identification.diagnosis.significance import crowded_recordings, rests_under_torque
+from identification.diagnosis.significance import (
+    crowded_recordings,
+    rests_under_torque,
+    trusted,
+)
 from identification.diagnosis.statement import statement, warnings_of
 from identification.diagnosis.unexplained import unexplained, unrecorded_effects
 from identification.diagnosis.within_limits import (
@@ -127,7 +131,8 @@ def diagnose(
         names = tuple(e.name for e in identified)
         why_not = Reason(doubt, found, names, left=left)
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
-        shown = _shown(task, found, nominal, judged, ())
+        part = _part_of(identified) if doubt is Kind.MUCH_LEFT else ()
+        shown = _shown(task, found, nominal, judged, part)
     verdict, where, drawn, reason = judged
     unseen = collinear_effects(found.baseline, terms)
     every = (*here, *aside)
@@ -185,6 +190,14 @@ class _Shown(NamedTuple):
     traces: tuple[ResidualTrace, ...]
 
 
+def _part_of(effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...]:
+    """Return effects that are a part of a mismatch with a lower confidence: what else is missing
+    may be what they imitate.
+    """
+    most = RULES.part_confidence
+    return tuple(replace(e, confidence=min(e.confidence, most)) for e in effects)
+
+
 def _nominal_constants(task: _Task, found: Search) -> tuple[Constants, tuple[str, ...]]:
     """Return the constants of the nominal model, which are those of ``rig identify``, and warnings;
     without an estimator, or if it fails, those of the fit of the rows.
@@ -206,7 +219,7 @@ def _shown(
     judged: Judged,
     effects: tuple[IdentifiedEffect, ...],
 ) -> _Shown:
-    """Return the reported model: with the effects, or with the curve of a mismatch outside the
+    """Return the reported model: with the effects, and with the curve of a mismatch outside the
     catalogue, or the nominal model; its errors are computed last.
     """
     dataset, bandwidth = task.everything, task.bandwidth
@@ -221,11 +234,11 @@ def _shown(
         after, constants = reported(
             dataset, found.final, effects, bandwidth, nominal, task.estimate is not None, task.rng
         )
-    elif judged.verdict is Verdict.OUTSIDE_CATALOGUE:
-        drawn_curve = curve_of(dataset, before, judged.maps, bandwidth)
+    if judged.verdict is Verdict.OUTSIDE_CATALOGUE:
+        drawn_curve = curve_of(dataset, after, judged.maps, bandwidth)
         if drawn_curve is not None:
-            curved = scores(dataset, replace(before.model, curve=drawn_curve), bandwidth)
-            unseen = [m.rms(drawn_curve.equation, "validate") for m in (curved, before)]
+            curved = scores(dataset, replace(after.model, curve=drawn_curve), bandwidth)
+            unseen = [m.rms(drawn_curve.equation, "validate") for m in (curved, after)]
             if unseen[0] is None or unseen[1] is None or unseen[0] <= unseen[1]:
                 after = curved
     final = found.final if effects else found.baseline
@@ -330,7 +343,7 @@ def _outcome(task: _Task, terms: Sequence[Effect], thorough: bool = False) -> _O
     fitted, held = task.dataset.part("fit"), task.dataset.part("validate")
     every = views((*fitted, *held), task.bandwidth, flexible, task.dataset.recordings)
     aside = every[len(fitted) :]
-    found, judged = judge(searched, aside, terms, task.rng, task.report)
+    found, judged = judge(searched, trusted(aside, every), terms, task.rng, task.report)
     return _Outcome(here, aside, found, judged)
 
 

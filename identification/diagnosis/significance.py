@@ -235,6 +235,15 @@ def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
     return tuple(line for view in views for line in _rests_of(view, views, unit))
 
 
+def trusted(aside: Sequence[View], every: Sequence[View]) -> tuple[View, ...]:
+    """Return the recordings set aside that can judge effects: those without a rest as in
+    :func:`rests_under_torque`, because their logged torque may not have reached the motor; all of
+    them if no other is left.
+    """
+    found = tuple(v for v in aside if not any(_rests_of(v, every, "")))
+    return found or tuple(aside)
+
+
 def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
     # Friction at rest grows with the load; recordings with less load therefore give no limit.
     others = [
@@ -258,7 +267,8 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
             f"{view.recording.name}: from {view.time[first]:.2f} to {view.time[last - 1]:.2f} s "
             f"the joint rests at {where} under a logged torque of {torque:.2g} {unit}, but all "
             f"rests in other recordings end at a torque of at most {limit:.2g} {unit}: check "
-            "whether the drive had switched its torque off, or whether the joint was blocked"
+            "whether the drive had switched its torque off, or whether the joint was blocked (a "
+            "recording set aside of this kind does not judge effects)"
         )
 
 

@@ -157,17 +157,17 @@ def statement(
         f"{main.unit}; "
         f"noise floor {main.noise_floor_rms:.3g}."
     )
+    words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = ""
         if where is not None and where.share_of_mismatch > 0.0:
             share = where.share_of_mismatch
             part = "most" if share > MOST else f"{max(1.0, 100.0 * share):.0f} %"
             place = f", {part} of it over {where.coordinate}"
-        return (
-            f"the {main.equation} equation has a mismatch that no effect of the catalogue "
-            f"explains{place}; {error}"
-        )
-    words = "; and ".join(e.statement for e in effects)
+        unexplained = "a mismatch that no effect of the catalogue explains"
+        if not effects:
+            return f"the {main.equation} equation has {unexplained}{place}; {error}"
+        return f"a part is found: {words}. Beside it there is {unexplained}. {change}"
     groups = [
         " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
     ]

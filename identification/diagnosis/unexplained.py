@@ -103,9 +103,9 @@ _WHY_NOT: Mapping[Kind, str] = {
         "units, and for torques that are not declared (a weight, a contact, a controller's own)"
     ),
     Kind.MUCH_LEFT: (
-        "a part of the mismatch was found, {share:.0f} % of it beyond the noise in the fitted "
-        "recordings: {words}; but with it an error of {left:.1f} times the noise floor is left, so "
-        "that another effect is missing or this effect has another form"
+        "{titles}: {share:.0f} % of the mismatch beyond the noise in the fitted recordings; an "
+        "error of {left:.1f} times the noise floor is left, so that another effect is missing or "
+        "this effect has another form"
     ),
     Kind.REVERSALS: (
         "{share:.0f} % of the mismatch beyond the noise would be explained if {words}; but the "
@@ -118,7 +118,7 @@ _WHY_NOT: Mapping[Kind, str] = {
     ),
 }
 """Why effects do not explain a mismatch, with their titles or the words that state them."""
-_STATED = (Kind.MUCH_LEFT, Kind.REVERSALS, Kind.TOO_LITTLE)
+_STATED = (Kind.REVERSALS, Kind.TOO_LITTLE)
 
 
 def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import pi
+from itertools import pairwise
+from math import exp, pi
 
 import numpy as np
 
@@ -224,14 +225,26 @@ def has_voltage(view: View) -> bool:
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
     """Return the regressors of :func:`_rises`, with one regressor for the initial temperature of
-    each recording, shape (1 + recordings, m); without recordings the initial temperature is that of
-    the mean loss since the start of the first recording, shape (1, m).
+    each recording, shape (1 + recordings, m); without recordings the initial temperature is that
+    left by the losses of earlier recordings, shape (1, m).
     """
     count = round(shape[1])
     if count:
         return np.concatenate([rises[:1], of_each_recording(view, count, rises[1:])])
-    before = float(np.mean(_loss(view))) * (1.0 - np.exp(-view.run_time[0] / shape[0]))
-    return np.asarray(rises[:1] + before * rises[1:])
+    return np.asarray(rises[:1] + _rise_before(view, shape[0]) * rises[1:])
+
+
+def _rise_before(view: View, time_constant: float) -> float:
+    """Return the winding's rise over thermal resistance at the start of a recording, W: what is
+    left of the losses in the recordings before it. The machine was cold before the first one, and
+    its power was off between them.
+    """
+    rise = 0.0
+    for this, following in pairwise((*view.earlier, view)):
+        gained, kept = _rises(this, time_constant)[:, -1]
+        pause = following.run_time[0] - this.run_time[-1]
+        rise = (gained + kept * rise) * exp(-pause / time_constant)
+    return float(rise)
 
 
 def _warm_start_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -541,8 +554,8 @@ class WindingHeating(Effect):
     heat loss of the winding.
 
     The nonlinear parameters are the time constant, the number of recordings, each of which has an
-    initial temperature of its own (0 for initial temperatures by the mean loss), and whether the
-    magnets heat too.
+    initial temperature of its own (0 for initial temperatures that the losses of earlier recordings
+    leave), and whether the magnets heat too.
     """
 
     equation = """R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT) (if magnet = 1),

@@ -218,6 +218,8 @@ class View:
     # that hardly move steadily, such as in slow motion against cogging, shape (n,).
     unsteady: BoolArray
     breakaways: np.ndarray  # samples at which a rest ends, shape (e,)
+    # Views of the recordings before this one on the same clock, in order.
+    earlier: tuple[View, ...] = field(default=(), repr=False)
     # Cache of the view with delayed motion that was computed last: delay, s, to view.
     behind: dict[float, View] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -307,11 +309,19 @@ def views(
     found = _one_origin(
         [_view(r, k, bandwidth_Hz, valve_side, origins[id(r)]) for k, r in enumerate(recordings)]
     )
-    if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(
-        np.sum(v.unsteady) for v in found
-    ):
-        return found
-    return tuple(replace(v, moving=v.unsteady) for v in found)
+    if sum(np.sum(v.moving) for v in found) < LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
+        found = tuple(replace(v, moving=v.unsteady) for v in found)
+    return tuple(replace(v, earlier=_earlier(v, found)) for v in found)
+
+
+def _earlier(view: View, every: Sequence[View]) -> tuple[View, ...]:
+    """Return the views before a view on its clock, in order; without a clock there are none."""
+    found = [
+        v
+        for v in every
+        if v.recording.session == view.recording.session and v.run_time[-1] < view.run_time[0]
+    ]
+    return tuple(sorted(found, key=lambda v: float(v.run_time[0])))
 
 
 def _shifts_of_zero(

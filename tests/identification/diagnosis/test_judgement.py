@@ -34,6 +34,7 @@ from identification.diagnosis.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.result import Fit, Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
+from identification.diagnosis.statement import statement
 from identification.diagnosis.unexplained import unexplained, unexplained_equations
 from identification.effects import MOTION
 from identification.recording import Array, Dataset, Recording
@@ -468,9 +469,18 @@ def test_a_part_is_told_as_a_part_and_the_verdict_is_outside(monkeypatch, after,
     if kind is not None:
         reason = reasons.Reason(kind, found(1.0), (NAME,), left=left)
         (text,) = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
-        assert "a part of the mismatch was found" in text
         assert "asymmetric Coulomb" in text
         assert "35.0 times the noise floor" in text
+
+
+def test_a_part_keeps_its_name_with_a_low_confidence() -> None:
+    (effect,) = effects_of(found(1.0), np.random.default_rng(0))
+    (part,) = diagnosing._part_of((effect,))
+    assert (part.name, part.confidence) == (NAME, RULES.part_confidence)
+    errors = Fit("torque", "N m", 25.0, 1.0, 0.35, 0.01, 1.0, 0.35)
+    said = statement(Verdict.OUTSIDE_CATALOGUE, (part,), errors, None, 0.0, ())
+    assert effect.statement in said
+    assert "1 -> 0.35 N m" in said
 
 
 def test_an_effect_without_a_state_at_the_start_is_judged_by_the_printed_error() -> None:

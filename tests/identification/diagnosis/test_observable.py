@@ -13,7 +13,7 @@ from identification.diagnosis.held_out import (
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.significance import rests_under_torque
+from identification.diagnosis.significance import rests_under_torque, trusted
 from identification.recording import Dataset, Model, Recording
 from identification.views.view import View, views
 
@@ -128,7 +128,10 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
 
 def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(recordings):
     assert rests_under_torque(seen(recordings), "N m") == ()
-    (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
+    every = seen((held(recordings[0], 150.0), *recordings[1:]))
+    (line,) = rests_under_torque(every, "N m")
+    assert trusted(every[:3], every) == every[1:3]
+    assert trusted(every[:1], every) == every[:1]
     assert line.startswith(f"{recordings[0].name}: from 7.0")
     assert "to 9.0" in line
     assert "under a logged torque of 1.5e+02 N m" in line
