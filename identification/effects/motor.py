@@ -6,8 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
-from math import exp, pi
+from math import pi
 
 import numpy as np
 
@@ -240,11 +239,12 @@ def _rise_before(view: View, time_constant: float) -> float:
     its power was off between them.
     """
     rise = 0.0
-    for this, following in pairwise((*view.earlier, view)):
+    for k, this in enumerate(view.earlier):
+        following = (*view.earlier[k + 1 :], view)[0]
         gained, kept = _rises(this, time_constant)[:, -1]
         pause = following.run_time[0] - this.run_time[-1]
-        rise = (gained + kept * rise) * exp(-pause / time_constant)
-    return float(rise)
+        rise = float((gained + kept * rise) * np.exp(-pause / time_constant))
+    return rise
 
 
 def _warm_start_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import yaml
 from identification.effects import EFFECTS, MOTION
 from identification.effects.model import CorrectedModel, Curve, carried
 from identification.export.python import python_text
-from identification.recording import Bench, Recording
+from identification.recording import Array, Bench, Recording
 from rig.results.diagnose.exports import yaml_text
 
 PARAMETERS = {
@@ -82,6 +83,29 @@ def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Pat
         )
     ]  # fmt: skip
     assert bool(max(moved) > 0.0) is (name is not None)
+
+
+def test_recordings_before_heat_the_winding(tmp_path: Path) -> None:
+    """As in one recording with the pause in it."""
+    model = CorrectedModel(PARAMETERS, 2.0, {"winding_heating": middle("winding_heating")})
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+
+    def seen(time: Array, current: Array, **more: Any) -> Any:
+        still = np.zeros(len(time))
+        return module.signals(
+            module.M, time, still, still, still, current=current, voltage=1.6 * current, **more
+        )
+
+    step = TIME[1] - TIME[0]
+    whole = np.arange(3 * len(TIME)) * step
+    power = np.concatenate([CURRENT, 0.0 * CURRENT, CURRENT])
+    first = seen(TIME, CURRENT)
+    second = seen(TIME, CURRENT, run_start=2 * len(TIME) * step, earlier=(first,))
+    # At the first sample the rate of the current is another one.
+    expected = model.voltage(seen(whole, power))[-len(TIME) + 1 :]
+    for computed in (module.voltage, model.voltage):
+        assert computed(second)[1:] == pytest.approx(expected, rel=1e-4)
+        assert computed(second) != pytest.approx(computed(first), rel=1e-3)
 
 
 def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:
