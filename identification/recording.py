@@ -174,7 +174,7 @@ class Model:
             declared terms are fitted, and a diagnosis does not report them.
         fixed: Parameters that are not fitted: name to value.
         priors: Parameters known with an uncertainty: name to value and standard deviation.
-        alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
+        alpha: Stribeck exponent (eq. 9), 2 in eq. 13.
         friction: Model of :data:`identification.model.parameters.LADDER` that is fitted to the
             unloaded recordings.
         bounds: Parameters known to be in a range: name to lowest and greatest value, each

@@ -59,7 +59,7 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
 
     Args:
         found: The search with its fits within their limits and the accepted effects.
-        rng: Random generator for the bands of the maps.
+        rng: Random generator for the maps' confidence bands.
         searched: The search before effects were dropped, or None if no effect was dropped. The
             effects before and after dropping must explain enough of the mismatch.
     """

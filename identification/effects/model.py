@@ -175,8 +175,8 @@ class CorrectedModel:
     def drive(self, view: View) -> Array:
         """Return the torque that the logged current produces, N m at the joint, shape (n,).
 
-        What an effect changes is computed at the torque that the nominal model requires, as in the
-        diagnosis: at the measured torque, it would explain a mismatch by itself.
+        Effects are computed at the torque that the nominal model requires, as in the diagnosis: the
+        measured torque contains the mismatch, which would then explain itself.
         """
         found = [r for r in self.responses("torque") if r.effect.on_drive]
         return view.transmitted - self._sum(np.zeros(len(view.time)), found, view)

@@ -470,7 +470,7 @@ _SIMPLEX_CORRELATED = (
 _MOST_CORRELATED = 90
 """Initial simplex of the noise search, as logarithms, and greatest number of filter runs."""
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Start values of correlated noise: over the white noise, and time in sample periods."""
+"""Start values of correlated noise: ratio to white noise, correlation time in sample periods."""
 
 
 def torque_noise(motions: Sequence[Motion]) -> float:

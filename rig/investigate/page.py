@@ -76,7 +76,7 @@ def investigation_document(
         name: Name of the investigation.
         state: Its state at the end.
         judged: Diagnosis of all recordings but the confirming ones.
-        confirmation: What came of the sealed prediction, or None without one.
+        confirmation: Outcome of the prediction sealed before its experiment, or None.
         files: Name and use of each file beside the page.
         facts: Facts at the top of the page.
     """

@@ -131,7 +131,7 @@ def nominal_generator(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Return the closed-loop excitation of a stage, or None without a flow command or generator."""
+    """Return the closed-loop excitation of a stage, or None if it commands no flow."""
     generator = nominal_generator(bench)
     if section.flow is None:
         return None

@@ -164,7 +164,7 @@ class OffProof:
     Args:
         encoder: The joint encoder, or None to observe the motor alone.
         speed_limit_rad_s: Speed limit of the bench, at the joint; NaN if it is not known.
-        current_limit_A: Current limit of the bench, for a drive whose rated current is not known.
+        current_limit_A: Current limit of the bench; it or the rated current counts, if smaller.
     """
 
     def __init__(

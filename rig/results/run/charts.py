@@ -142,7 +142,7 @@ RESULT = ("error", "current", "temperature")
 
 
 Limit = Sequence[tuple[float, float]]
-"""Start times, s, and values of a limit, in the unit of the chart, from each time on."""
+"""Pairs of time, s, and the limit from then on, in the chart's unit."""
 
 
 @dataclass(frozen=True)

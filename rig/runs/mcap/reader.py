@@ -267,7 +267,7 @@ class RecordFile:
         raise DamageError("the index at the end of the file holds no statistics")
 
     def _head(self, offset: int) -> tuple[int, int]:
-        """Return opcode and end of the record at ``offset``; its content is to be read next."""
+        """Return opcode and end of the record at ``offset``; leave the stream at its content."""
         self._stream.seek(offset)
         head = self._stream.read(HEADER.size)
         if len(head) < HEADER.size:
