@@ -6,7 +6,7 @@ effects are accepted, and the errors of the corrected model are computed on them
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
@@ -125,14 +125,18 @@ def diagnose(
     nominal, more = _nominal_constants(task, found)
     identified = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
     shown = _shown(task, found, nominal, judged, identified)
-    left = floors_left(_with_own_starts(shown.main, found, aside))
-    if (doubt := _doubt(shown, judged, left)) is not None:
+    trusting = trusted(aside, (*here, *aside))
+    judging = _judging(shown, {v.recording.name for v in trusting})
+    left = floors_left(_with_own_starts(judging.main, found, trusting))
+    if (doubt := _doubt(judging, judged, left)) is not None:
         where = judged.where or place_of(found, judged.maps)
         names = tuple(e.name for e in identified)
         why_not = Reason(doubt, found, names, left=left)
         judged = Judged(Verdict.OUTSIDE_CATALOGUE, where, judged.maps, why_not)
-        part = _part_of(identified) if doubt is Kind.MUCH_LEFT else ()
-        shown = _shown(task, found, nominal, judged, part)
+        if doubt is Kind.MUCH_LEFT:
+            shown = shown._replace(effects=_part_of(identified))
+        else:
+            shown = _shown(task, found, nominal, judged, ())
     verdict, where, drawn, reason = judged
     unseen = collinear_effects(found.baseline, terms)
     every = (*here, *aside)
@@ -195,7 +199,27 @@ def _part_of(effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...
     may be what they imitate.
     """
     most = RULES.part_confidence
-    return tuple(replace(e, confidence=min(e.confidence, most)) for e in effects)
+    return tuple(
+        replace(
+            e,
+            confidence=min(e.confidence, most),
+            rivals=tuple(replace(r, confidence=min(r.confidence, most)) for r in e.rivals),
+        )
+        for e in effects
+    )
+
+
+def _judging(shown: _Shown, names: Collection[str]) -> _Shown:
+    """Return a reported model with the errors of the fitted recordings, and of those of the
+    recordings set aside with these names.
+    """
+    before, after = (
+        s._replace(parts=tuple(p for p in s.parts if p.role == "fit" or p.recording in names))
+        for s in (shown.before, shown.after)
+    )
+    errors = [s.rms(shown.main.equation, "validate") for s in (before, after)]
+    main = replace(shown.main, validate_baseline_rms=errors[0], validate_final_rms=errors[1])
+    return shown._replace(before=before, after=after, main=main)
 
 
 def _nominal_constants(task: _Task, found: Search) -> tuple[Constants, tuple[str, ...]]:
@@ -219,7 +243,7 @@ def _shown(
     judged: Judged,
     effects: tuple[IdentifiedEffect, ...],
 ) -> _Shown:
-    """Return the reported model: with the effects, and with the curve of a mismatch outside the
+    """Return the reported model: with the effects, or with the curve of a mismatch outside the
     catalogue, or the nominal model; its errors are computed last.
     """
     dataset, bandwidth = task.everything, task.bandwidth
@@ -234,11 +258,11 @@ def _shown(
         after, constants = reported(
             dataset, found.final, effects, bandwidth, nominal, task.estimate is not None, task.rng
         )
-    if judged.verdict is Verdict.OUTSIDE_CATALOGUE:
-        drawn_curve = curve_of(dataset, after, judged.maps, bandwidth)
+    elif judged.verdict is Verdict.OUTSIDE_CATALOGUE:
+        drawn_curve = curve_of(dataset, before, judged.maps, bandwidth)
         if drawn_curve is not None:
-            curved = scores(dataset, replace(after.model, curve=drawn_curve), bandwidth)
-            unseen = [m.rms(drawn_curve.equation, "validate") for m in (curved, after)]
+            curved = scores(dataset, replace(before.model, curve=drawn_curve), bandwidth)
+            unseen = [m.rms(drawn_curve.equation, "validate") for m in (curved, before)]
             if unseen[0] is None or unseen[1] is None or unseen[0] <= unseen[1]:
                 after = curved
     final = found.final if effects else found.baseline

@@ -207,7 +207,7 @@ class Diagnosis:
         verdict: The verdict.
         statement: The verdict in a plain sentence.
         effects: Identified effects in order of importance; empty if nothing is missing or no effect
-            fits.
+            fits; a part of the mismatch if the verdict is ``outside_catalogue``.
         fit: Errors of the equation in which the mismatch is judged (the torque equation if nothing
             is missing).
         fits: Errors of every equation that the recordings allow.
@@ -215,7 +215,7 @@ class Diagnosis:
         parameter_shift: Nominal parameters in the nominal model and in the corrected model.
         p_value: p-value of the test whether physics is missing.
         location: Location of the greatest mismatch, whether an effect explains it or not.
-        curve: Empirical curve of the mismatch if the verdict is ``outside_catalogue``.
+        curve: Empirical curve of a mismatch that is ``outside_catalogue`` and has no effect.
         maps: Mismatch against each coordinate, for the report.
         steps: Steps of the search.
         traces: Mismatch against time, for the report.

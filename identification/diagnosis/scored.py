@@ -408,7 +408,7 @@ def curve_of(
 
     Args:
         dataset: All recordings.
-        before: Errors of the model without the curve.
+        before: Errors of the nominal model.
         drawn: Maps of the mismatch, that of the location first.
         bandwidth_Hz: Bandwidth of the errors.
     """

@@ -268,7 +268,7 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
             f"the joint rests at {where} under a logged torque of {torque:.2g} {unit}, but all "
             f"rests in other recordings end at a torque of at most {limit:.2g} {unit}: check "
             "whether the drive had switched its torque off, or whether the joint was blocked (a "
-            "recording set aside of this kind does not judge effects)"
+            "recording set aside of this kind judges no effect unless there is no other)"
         )
 
 

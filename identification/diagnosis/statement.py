@@ -158,6 +158,11 @@ def statement(
         f"noise floor {main.noise_floor_rms:.3g}."
     )
     words = "; and ".join(e.statement for e in effects)
+    groups = [
+        " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
+    ]
+    if verdict is not Verdict.NAMED and groups:
+        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = ""
         if where is not None and where.share_of_mismatch > 0.0:
@@ -168,11 +173,6 @@ def statement(
         if not effects:
             return f"the {main.equation} equation has {unexplained}{place}; {error}"
         return f"a part is found: {words}. Beside it there is {unexplained}. {change}"
-    groups = [
-        " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
-    ]
-    if verdict is Verdict.AMBIGUOUS and groups:
-        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     return f"{words}. {change}"
 
 

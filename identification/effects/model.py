@@ -310,7 +310,9 @@ def refit(
     Raises:
         RecordingError: The recordings do not determine the model.
     """
-    fitted = without_effects(dataset.part("fit"), model, bandwidth_Hz)
+    # Recordings set aside heat the machine too.
+    every = without_effects(dataset.recordings, model, bandwidth_Hz)
+    fitted = [r for r in every if r.role == "fit"]
     return identify_any_length(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
 
 

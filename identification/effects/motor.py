@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,7 @@ LEAST_CROSSINGS = 12
 """Least number of passages of the current through zero from which the change of the current in a
 passage is computed.
 """
+FORGOTTEN = 20.0  # time constants after which a winding has lost its heat
 GREATEST_QUANTILE = 0.99
 """Quantile of the magnitude of the current that counts as the greatest current, so that spikes are
 ignored.
@@ -233,17 +235,22 @@ def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
     return np.asarray(rises[:1] + _rise_before(view, shape[0]) * rises[1:])
 
 
-def _rise_before(view: View, time_constant: float) -> float:
+def _rise_before(view: View, time_constant: float) -> Any:
     """Return the winding's rise over thermal resistance at the start of a recording, W: what is
-    left of the losses in the recordings before it. The machine was cold before the first one, and
-    its power was off between them.
+    left of the losses in the recordings before it, between which the power was off. Before the
+    first one, the mean loss since the zero of the running time counts.
     """
-    rise = 0.0
-    for k, this in enumerate(view.earlier):
-        following = (*view.earlier[k + 1 :], view)[0]
-        gained, kept = _rises(this, time_constant)[:, -1]
-        pause = following.run_time[0] - this.run_time[-1]
-        rise = float((gained + kept * rise) * np.exp(-pause / time_constant))
+    chain = [view]
+    while (before := chain[-1].before) is not None:
+        if view.run_time[0] - before.run_time[-1] > FORGOTTEN * time_constant:
+            break
+        chain.append(before)
+    first = chain[-1]
+    rise = np.mean(_loss(first)) * (1.0 - np.exp(-first.run_time[0] / time_constant))
+    for k in range(len(chain) - 1, 0, -1):
+        gained, kept = _rises(chain[k], time_constant)[:, -1]
+        pause = chain[k - 1].run_time[0] - chain[k].run_time[-1]
+        rise = (gained + kept * rise) * np.exp(-pause / time_constant)
     return rise
 
 

@@ -204,7 +204,7 @@ def _signals(symbols: Symbols, bench: SimpleNamespace) -> _Signals:
     s.motor, s.drive_angle, s.lag = bench.gear_ratio * s.angle, s.angle, None
     s.motor_speed, s.twist = bench.gear_ratio * s.velocity, node(0.0)
     s.rotor_acceleration, s.supply = s.acceleration, None
-    s.index, s.earlier, s.voltage_is_computed = 0, (), False
+    s.index, s.before, s.voltage_is_computed = 0, None, False
     s.recording = SimpleNamespace(
         bench=bench, pendulum=None, weight_mass=s.weight_mass, channels={"current": s.current}
     )

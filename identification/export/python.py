@@ -160,7 +160,7 @@ class Signals:
         known_inertia: float = 0.0,
         run_start: float = 0.0,
         number: int = 1,
-        earlier: tuple[Signals, ...] = (),
+        before: Signals | None = None,
     ) -> None:
         """Compute the signals.
 
@@ -179,7 +179,7 @@ class Signals:
             known_inertia: Inertia of the weight that turns with the joint, kg m^2.
             run_start: Time from the start of the first recording to the start of this recording, s.
             number: Number of the recording, from 1.
-            earlier: Signals of the recordings before this one, in order; they heat the motor.
+            before: Signals of the recording before this one, which heats the motor.
 
         Raises:
             ValueError: The times are not evenly spaced.
@@ -210,7 +210,7 @@ class Signals:
         self.motor_speed = m["i"] * velocity
         self.twist = 0.0 * time
         self.rotor_acceleration = np.gradient(velocity, self.step)
-        self.index, self.earlier, self.voltage_is_computed = number - 1, earlier, False
+        self.index, self.before, self.voltage_is_computed = number - 1, before, False
         bench = _Namespace(
             resistance=m["R"],
             inductance=m["L"],

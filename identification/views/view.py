@@ -218,8 +218,8 @@ class View:
     # that hardly move steadily, such as in slow motion against cogging, shape (n,).
     unsteady: BoolArray
     breakaways: np.ndarray  # samples at which a rest ends, shape (e,)
-    # Views of the recordings before this one on the same clock, in order.
-    earlier: tuple[View, ...] = field(default=(), repr=False)
+    # View of the recording before this one on the same clock, or None.
+    before: View | None = field(default=None, repr=False)
     # Cache of the view with delayed motion that was computed last: delay, s, to view.
     behind: dict[float, View] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -311,17 +311,19 @@ def views(
     )
     if sum(np.sum(v.moving) for v in found) < LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
         found = tuple(replace(v, moving=v.unsteady) for v in found)
-    return tuple(replace(v, earlier=_earlier(v, found)) for v in found)
+    return _linked(found)
 
 
-def _earlier(view: View, every: Sequence[View]) -> tuple[View, ...]:
-    """Return the views before a view on its clock, in order; without a clock there are none."""
-    found = [
-        v
-        for v in every
-        if v.recording.session == view.recording.session and v.run_time[-1] < view.run_time[0]
-    ]
-    return tuple(sorted(found, key=lambda v: float(v.run_time[0])))
+def _linked(found: Sequence[View]) -> tuple[View, ...]:
+    """Return the views, each with the view before it; without a common clock there is none."""
+    last: dict[str | None, View] = {}
+    linked: dict[int, View] = {}
+    for k in sorted(range(len(found)), key=lambda k: float(found[k].run_time[0])):
+        view, before = found[k], last.get(found[k].recording.session)
+        if before is not None and before.run_time[-1] < view.run_time[0]:
+            view = replace(view, before=before)
+        linked[k] = last[view.recording.session] = view
+    return tuple(linked[k] for k in range(len(found)))
 
 
 def _shifts_of_zero(

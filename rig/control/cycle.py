@@ -99,6 +99,7 @@ class Cycle:
         self._time_limit_s: float | None = None
         self._age_s = self._late_s = self._target = 0.0
         self._torque = math.nan
+        self._woken_ns = 0
         self._start_grid(self._start_ns)
         self.count = 0
         self._watched = -1
@@ -342,7 +343,10 @@ class Cycle:
         paced_late_ns = 0 if self._pacer is None else self._pace(self._pacer, begin_ns)
         clock.sleep_until_ns(earliest_ns)
         started_ns = clock.now_ns()
-        self._earliest_ns = started_ns + round(SPACING * self._period_ns)
+        woken_ns = started_ns - earliest_ns
+        # What every sleep of this computer takes too long is no late cycle.
+        usual_ns, self._woken_ns = min(woken_ns, self._woken_ns), woken_ns
+        self._earliest_ns = started_ns - usual_ns + round(SPACING * self._period_ns)
         late_ns = started_ns - begin_ns
         if self._suspension is not None and not braking:
             slept_ns = self._suspension.passed_ns()
@@ -350,8 +354,9 @@ class Cycle:
                 time_s = (begin_ns - self._start_ns) * 1e-9
                 raise TripError(Trip(Check.SLEEP, slept_ns / NS, 0.0, "s", time_s))
         timing = self.timing
-        timing.lateness.note(max(late_ns, paced_late_ns))
-        self._late_s = max(late_ns, paced_late_ns) * 1e-9
+        # A wait for the spacing is not late.
+        timing.lateness.note(max(woken_ns, paced_late_ns))
+        self._late_s = max(woken_ns, paced_late_ns) * 1e-9
         if late_ns > self._period_ns:
             self._overrun(late_ns)
             begin_ns += late_ns

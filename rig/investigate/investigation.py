@@ -283,7 +283,7 @@ def concluded_from(diagnosis: Diagnosis, weighed: Weighed) -> Diagnosis:
 
     Effects are named if they are the best hypothesis and every other one is rejected.
     """
-    if not diagnosis.effects:
+    if not diagnosis.effects or diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
         return diagnosis
     names, odds = {e.name for e in diagnosis.effects}, weighed.odds
     alone = {*weighed.hypotheses[0].names} == names and not weighed.rivals

@@ -425,6 +425,27 @@ def test_the_targets_after_a_late_one_come_no_faster_than_the_spacing():
     assert [time_ns for time_ns, *_ in bench.recorded] == [k * PERIOD_NS for k in range(7)]
 
 
+@pytest.mark.parametrize("usual_ns", [0, PERIOD_NS // 7])
+def test_a_computer_that_always_wakes_late_keeps_the_grid(usual_ns):
+    bench = Bench()
+    cycle = begun(bench)
+    wake = bench.clock.sleep_until_ns
+    bench.clock.sleep_until_ns = lambda when: wake(when + usual_ns)  # type: ignore[method-assign]
+    cycle.follow([0.1] * 40, 1, "empty")
+    assert cycle.overruns == 0
+    assert cycle.timing.lateness.worst_ns == usual_ns
+    assert bench.exchanged[-1] == 40 * PERIOD_NS + usual_ns
+
+
+def test_braking_waits_for_no_spacing() -> None:
+    bench = Bench()
+    cycle = begun(bench)
+    bench.actions[2] = lambda: bench.clock.sleep_until_ns(START_NS + 3 * PERIOD_NS - ANSWER_NS)
+    cycle.follow([0.1] * 2, 1, "empty")
+    cycle.watch()
+    assert bench.exchanged[3] - bench.exchanged[2] < SPACING * PERIOD_NS
+
+
 def test_lateness_is_judged() -> None:
     bench = Bench()
     cycle = begun(bench)

@@ -100,7 +100,7 @@ def test_recordings_before_heat_the_winding(tmp_path: Path) -> None:
     whole = np.arange(3 * len(TIME)) * step
     power = np.concatenate([CURRENT, 0.0 * CURRENT, CURRENT])
     first = seen(TIME, CURRENT)
-    second = seen(TIME, CURRENT, run_start=2 * len(TIME) * step, earlier=(first,))
+    second = seen(TIME, CURRENT, run_start=2 * len(TIME) * step, before=first)
     # At the first sample the rate of the current is another one.
     expected = model.voltage(seen(whole, power))[-len(TIME) + 1 :]
     for computed in (module.voltage, model.voltage):

@@ -127,10 +127,11 @@ def _shift_table(found: Diagnosis) -> Table:
 
 
 def _where_table(found: Diagnosis) -> Table:
-    """Return the location of each effect or, without one, of the whole mismatch."""
+    """Return the location of each effect and, if they are no or a part, of the whole mismatch."""
     places = [(e.name, e.where) for e in found.effects]
-    if not places and found.location is not None:
-        places = [("the mismatch", found.location)]
+    outside = found.verdict is Outcomes.OUTSIDE_CATALOGUE
+    if (outside or not places) and found.location is not None:
+        places.append(("the whole mismatch", found.location))
     return columns(
         places,
         (3,),

@@ -128,7 +128,12 @@ def row_of(
         "verdict": verdict,
         "named": [{key: e[key] for key in NAMED} for e in found],
         "p_value": diagnosis["p_value"],
-        **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
+        # A part of a mismatch outside the catalogue is no identification.
+        **_hits(
+            kind,
+            names,
+            [(e["name"], *e["alias_group"]) for e in found if verdict != "outside_catalogue"],
+        ),
         "alarm": verdict not in ("nothing_missing", REFUSED),
         "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,

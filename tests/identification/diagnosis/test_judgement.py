@@ -33,11 +33,13 @@ from identification.diagnosis.joint import (
 from identification.diagnosis.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.result import Fit, Step, Verdict
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.scored import Scores
 from identification.diagnosis.search import Search
 from identification.diagnosis.statement import statement
 from identification.diagnosis.unexplained import unexplained, unexplained_equations
 from identification.effects import MOTION
 from identification.recording import Array, Dataset, Recording
+from identification.views.predicted import Predicted
 from identification.views.view import View, views
 
 from .benches import PLAN, campaign, honest, ladder, nominal_fit, with_torque
@@ -481,6 +483,25 @@ def test_a_part_keeps_its_name_with_a_low_confidence() -> None:
     said = statement(Verdict.OUTSIDE_CATALOGUE, (part,), errors, None, 0.0, ())
     assert effect.statement in said
     assert "1 -> 0.35 N m" in said
+
+
+def test_a_recording_that_judges_nothing_does_not_judge_the_reported_model() -> None:
+    def parts(size: float) -> tuple[Predicted, ...]:
+        errors = {"a": ("fit", 1.0), "torque lost": ("validate", 9.0), "b": ("validate", 2.0)}
+        time = np.arange(4.0)
+        return tuple(
+            Predicted("torque", name, role, time, np.full(4, size * error), np.zeros(4))
+            for name, (role, error) in errors.items()
+        )
+
+    errors = Fit("torque", "N m", 25.0, 1.0, 0.1, 0.01, 7.0, 0.7)
+    model: Any = None
+    before, after = (Scores(model, parts(size)) for size in (1.0, 0.1))
+    shown = diagnosing._Shown((), before, after, model, (), errors, ())
+    main = diagnosing._judging(shown, {"b"}).main
+    assert main.validate_baseline_rms == pytest.approx(2.0)
+    assert main.validate_final_rms == pytest.approx(0.2)
+    assert (main.baseline_rms, main.final_rms) == (1.0, 0.1)
 
 
 def test_an_effect_without_a_state_at_the_start_is_judged_by_the_printed_error() -> None:

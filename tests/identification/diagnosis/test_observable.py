@@ -143,3 +143,15 @@ def test_what_friction_holds_is_not_told(recordings: tuple[Recording, ...]) -> N
     heaviest = max(range(len(recordings)), key=lambda k: recordings[k].contact_force)
     changed = tuple(held(r, 150.0) if k == heaviest else r for k, r in enumerate(recordings))
     assert rests_under_torque(seen(changed), "N m") == ()
+
+
+def test_a_view_knows_the_recording_before_it_on_its_clock(recordings) -> None:
+    late = [replace(r, session="second") for r in recordings[2:4]]
+    linked = seen((recordings[1], recordings[0], *late))
+    assert [None if v.before is None else v.before.recording.name for v in linked] == [
+        recordings[0].name, None, None, late[0].name,
+    ]  # fmt: skip
+    every_at_zero = tuple(
+        replace(r, channels={**r.channels, "time": r.time - r.time[0]}) for r in recordings
+    )
+    assert all(v.before is None for v in seen(every_at_zero))

@@ -411,6 +411,8 @@ def test_verdict_rivals_and_confidence_follow_from_one_level(
     assert ("2.3" in rival.why_not) is (verdict is Verdict.NAMED)
     nothing = dataclasses.replace(diagnosis, verdict=Verdict.NOTHING_MISSING, effects=())
     assert loop.concluded_from(nothing, hypotheses) is nothing
+    part = dataclasses.replace(diagnosis, verdict=Verdict.OUTSIDE_CATALOGUE)
+    assert loop.concluded_from(part, hypotheses) is part
 
 
 def test_an_experiment_is_run_by_the_command_of_a_run(tmp_path):
