@@ -61,7 +61,7 @@ the band is made for 90 %, and neighbouring samples are correlated.
 MOST_REFUTED = 2
 """Number of failed predictions after each of which the investigation goes on."""
 MOST_EXPERIMENTS = 12
-"""Greatest number of experiments of an investigation without a budget."""
+"""Greatest number of experiments that the program chooses in one investigation."""
 PREDICTION_FILE = "prediction{}.json"
 LEAST_S = 60.0
 """Rest of the budget below which no experiment is designed, s."""
