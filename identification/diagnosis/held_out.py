@@ -358,29 +358,21 @@ def _with_rivals_judged(
     effect. A rival that the fit does not reject replaces the effect if the error with the rival is
     significantly smaller than the error with the effect.
     """
-    seen = _seen_aside(case, joint, taken.name)
-    if seen is None:
+    if _seen_aside(case, joint, taken.name) is None:
         return joint, taken
-    rivals, better = [], []
+    rivals, better, limited = [], [], {}
     for rival in taken.rivals:
-        tried = within_limits(rival.joint)
-        there = _seen_aside(case, tried, rival.name)
-        # The torque during crossings has already decided between a gap and a loop.
-        own = next(e.term for e in joint.effects if e.term.name == taken.name)
-        if distinguished_by_crossings(own, rival.effect.term):
-            there = None
-        if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
-            stack, left, names = seen
-            worse = decisive_reduction(stack, [left, _in_noise_of(joint, tried, there[:2])], names)
-            if worse >= RULES.rejected:
-                rival = replace(rival, preference=max(rival.preference, worse))
-            elif worse <= -RULES.rejected:
-                place = [e.term.name for e in tried.effects].index(rival.name)
-                open_ = rival.preference < RULES.rejected and not rival.beyond
-                if open_ and undetermined_size(tried, place) is None:
-                    better.append((worse, rival, tried))
-                else:
-                    rival = replace(rival, preference=min(rival.preference, 0.0))
+        tried = limited[rival.name] = within_limits(rival.joint)
+        worse = _worse_aside(case, joint, taken.name, tried, rival.name)
+        if worse >= RULES.rejected:
+            rival = replace(rival, preference=max(rival.preference, worse))
+        elif worse <= -RULES.rejected:
+            place = [e.term.name for e in tried.effects].index(rival.name)
+            open_ = rival.preference < RULES.rejected and not rival.beyond
+            if open_ and undetermined_size(tried, place) is None:
+                better.append((worse, rival, tried))
+            else:
+                rival = replace(rival, preference=min(rival.preference, 0.0))
         rivals.append(rival)
     if not better:
         return joint, replace(taken, rivals=tuple(rivals))
@@ -388,10 +380,32 @@ def _with_rivals_judged(
     steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
     # Stouffer's sum of the preferences by the fitted recordings and by the recordings set aside.
     former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
-    others = (
-        replace(r, preference=preference(tried, r.joint)) for r in rivals if r.name != rival.name
-    )
+    others = []
+    for r in rivals:
+        if r.name != rival.name:
+            fitted = preference(tried, limited[r.name])
+            aside = _worse_aside(case, tried, rival.name, limited[r.name], r.name)
+            rejects = aside >= RULES.rejected
+            others.append(replace(r, preference=max(fitted, aside) if rejects else fitted))
     return tried, Round(rival.name, (former, *others), unconfirmed=True)
+
+
+def _worse_aside(case: _Case, joint: Joint, name: str, other: Joint, rival: str) -> float:
+    """Return by how much the error of a rival's fit on the recordings set aside is larger, in
+    standard errors; 0 if they do not compare the two.
+    """
+    seen, there = _seen_aside(case, joint, name), _seen_aside(case, other, rival)
+    own, its = (
+        next(e.term for e in j.effects if e.term.name == n)
+        for j, n in ((joint, name), (other, rival))
+    )
+    # The torque during crossings has already decided between a gap and a loop.
+    if seen is None or there is None or distinguished_by_crossings(own, its):
+        return 0.0
+    if _others(other, rival) != _others(joint, name):
+        return 0.0
+    stack, left, names = seen
+    return decisive_reduction(stack, [left, _in_noise_of(joint, other, there[:2])], names)
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:

@@ -390,11 +390,19 @@ def view_regressors(
 
 
 def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
-    """Stack equations at the nominal values; ``like`` lends its blocks and its cache."""
+    """Stack equations at the nominal values; ``like`` lends its blocks, its cache, and the bases of
+    the tangents that are the same.
+    """
     basis = []
     residuals = []
+    known = {}
+    if like is not None:
+        bases = zip(like.equations, like.basis, strict=True)
+        known = {id(e.tangent): q for e, q in bases}
     for equation in equations:
-        q = _orthonormal(equation.tangent)
+        q = known.get(id(equation.tangent))
+        if q is None:
+            q = _orthonormal(equation.tangent)
         basis.append(q)
         residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
     residual = np.concatenate(residuals)

@@ -238,7 +238,8 @@ def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
 def _rise_before(view: View, time_constant: float) -> Any:
     """Return the winding's rise over thermal resistance at the start of a recording, W: what is
     left of the losses in the recordings before it, between which the power was off. Before the
-    first one, the mean loss since the zero of the running time counts.
+    first one of all, the mean loss since the zero of the running time counts; after a pause in
+    which the winding cools completely, the rise is zero.
     """
     chain = [view]
     while (before := chain[-1].before) is not None:
@@ -246,7 +247,9 @@ def _rise_before(view: View, time_constant: float) -> Any:
             break
         chain.append(before)
     first = chain[-1]
-    rise = np.mean(_loss(first)) * (1.0 - np.exp(-first.run_time[0] / time_constant))
+    rise = 0.0
+    if first.before is None:
+        rise = np.mean(_loss(first)) * (1.0 - np.exp(-first.run_time[0] / time_constant))
     for k in range(len(chain) - 1, 0, -1):
         gained, kept = _rises(chain[k], time_constant)[:, -1]
         pause = chain[k - 1].run_time[0] - chain[k].run_time[-1]

@@ -300,14 +300,15 @@ def views(
         valve_side: Whether angle and speed are from the joint encoder even if the motor encoder is
             finer: with a flexible transmission, friction depends on the motion of the valve.
         campaign: All recordings of the campaign in order; the machine also warms during recordings
-            that are not used.
+            that are not used, and all of them show whether the encoders keep their origins.
     """
     every = campaign or recordings
     starts = run_starts(every)
     shifts = _shifts_of_zero(every, starts, valve_side)
     origins = {id(r): _Origin(*o) for r, *o in zip(every, starts, shifts, strict=True)}
     found = _one_origin(
-        [_view(r, k, bandwidth_Hz, valve_side, origins[id(r)]) for k, r in enumerate(recordings)]
+        [_view(r, k, bandwidth_Hz, valve_side, origins[id(r)]) for k, r in enumerate(recordings)],
+        every,
     )
     if sum(np.sum(v.moving) for v in found) < LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
         found = tuple(replace(v, moving=v.unsteady) for v in found)
@@ -350,21 +351,22 @@ def _origin_is_lost(lags: Sequence[Array]) -> bool:
     return float(np.ptp([np.median(lag) for lag in lags])) > within
 
 
-def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
+def _one_origin(found: Sequence[View], campaign: Sequence[Recording]) -> tuple[View, ...]:
     """Return the views with motor angles from a common origin, which the joint encoder determines.
 
     A motor encoder that counts from power-on loses its origin between recordings, and effects that
     are periodic in the motor angle lose their phase. The origin counts as lost if the difference of
-    the encoders changes more between recordings than within any recording.
+    the encoders changes more between recordings of the campaign than within any of them.
     """
-    both = [v for v in found if v.lag is not None]
-    if len(both) < 2:
+    lags = [lag for lag in map(_encoder_lag, campaign) if lag is not None]
+    if len(lags) < 2 or not _origin_is_lost(lags):
         return tuple(found)
-    zeros = {v.index: float(np.median(v.lag)) for v in both if v.lag is not None}
-    if not _origin_is_lost([v.lag for v in both if v.lag is not None]):
-        return tuple(found)
-    gear = both[0].recording.bench.gear_ratio
-    return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
+    return tuple(
+        v
+        if v.lag is None
+        else replace(v, motor=v.motor - v.recording.bench.gear_ratio * float(np.median(v.lag)))
+        for v in found
+    )
 
 
 def _view(

@@ -165,9 +165,9 @@ def _motion(part: Part) -> str:
     return part.name.rpartition("-")[0]
 
 
-def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
+def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation | None:
     """Compare a prediction, the content of its sealed file, with the recordings of its experiment,
-    where both move steadily.
+    where both move steadily; None if they never do.
     """
     traces: dict[str, Trace] = {}
     found = views(measured.recordings, sealed["bandwidth_Hz"])
@@ -180,6 +180,8 @@ def compare(sealed: Mapping[str, Any], measured: Dataset) -> Confirmation:
         seen = np.interp(time, since, view.low_pass(view.torque))
         traces[predicted["name"]] = time[moving], torque[moving], half[moving], seen[moving]
     torque, half, seen = (np.concatenate([t[k] for t in traces.values()]) for k in (1, 2, 3))
+    if not len(torque):
+        return None
     error = seen - torque
     return Confirmation(
         float(np.mean(np.abs(error) <= half)),

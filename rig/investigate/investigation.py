@@ -203,7 +203,8 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
     """Return the recordings of several runs as one dataset; the recorded part of a run that ended
     early is used.
 
-    On a bench that keeps its temperature between runs, all time stamps are of one clock.
+    On a bench that keeps its temperature between runs, all time stamps are of one clock. A
+    recording has the name of its run folder, with a number if another folder has the same name.
 
     Raises:
         InputError: No run has a recording.
@@ -211,6 +212,7 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
     recordings: list[Recording] = []
     problems: list[str] = []
     first: datetime | None = None
+    labels = list[str]()
     for folder in folders:
         try:
             record, dataset = read_record(folder), load_run(folder, partial=True)
@@ -219,13 +221,18 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
             continue
         created = datetime.fromisoformat(record.created)
         first = first or created
+        label, again = folder.name, 1
+        while label in labels:
+            again += 1
+            label = f"{folder.name}-{again}"
+        labels.append(label)
         late_s, session = (created - first).total_seconds(), ""
         if record.simulated and not record.realtime:
-            late_s, session = 0.0, folder.name  # each simulated run starts cold
+            late_s, session = 0.0, label  # each simulated run starts cold
         recordings += [
             dataclasses.replace(
                 r,
-                name=f"{folder.name}/{r.name}",
+                name=f"{label}/{r.name}",
                 channels={**r.channels, "time": r.channels["time"] + late_s},
                 role="fit",
                 session=session,
@@ -353,7 +360,7 @@ class Investigation:
             InputError: The first run cannot be diagnosed.
         """
         self._settle_unfinished()
-        if self.state.first and all(e.state != "done" for e in self.state.experiments):
+        if self.state.first and not self._any_recorded():
             self._first()
         state = self.state
         while True:
@@ -383,7 +390,7 @@ class Investigation:
         if again:
             self._confirming()[-1].purpose = "refute"
             state.ended, state.refuted = "", [*state.refuted, state.confirmation]
-            state.confirmation = {}
+            state.confirmation, state.indistinct = {}, {}
             state.save(self._folder)
         return again
 
@@ -402,6 +409,13 @@ class Investigation:
             for e in self.state.experiments
             if e.state not in ("planned", "running") and e.purpose != "confirm"
         ]
+
+    def _any_recorded(self) -> bool:
+        try:
+            self.dataset()
+        except InputError:
+            return False
+        return True
 
     def _place(self, name: str) -> Path:
         return self._folder / name  # an absolute name stays as it is
@@ -425,10 +439,18 @@ class Investigation:
 
     def judged(self, refine: bool = False) -> Judgement:
         """Diagnose all runs but the confirming one; see :func:`judge_recordings`."""
-        runs, state = self._done(), self.state
+        place, state = self._done()[0], self.state
         return judge_recordings(
-            read_runs(runs), runs[0], state.seed, state.question, self._progress, refine
+            self.dataset(), place, state.seed, state.question, self._progress, refine
         )
+
+    def dataset(self) -> Dataset:
+        """Return the recordings to diagnose.
+
+        Raises:
+            InputError: There is none.
+        """
+        return read_runs(self._done())
 
     def recordings(self, folder: Path) -> Dataset:
         """Return the recordings of a run."""
@@ -531,7 +553,8 @@ class Investigation:
                 names |= {v.recording.name.split("/")[0] for v in joint.views if v.index == index}
         repeated = {e.repeats for e in self.state.experiments}
         for e in self.state.experiments:
-            if e.sequence and not e.repeats and e.run in names - repeated:
+            affordable = e.state == Ending.DONE.value and e.seconds <= self.state.left_s
+            if affordable and e.sequence and not e.repeats and e.run in names - repeated:
                 name = " and ".join(map(spoken, judged.weighed.hypotheses[0].names))
                 reason = (
                     f"repeats {e.run}: whether {name} of one recording comes again; "
@@ -610,6 +633,9 @@ class Investigation:
                 f"{path}: SHA-256 is {now}, was {digest} when sealed; the prediction was changed"
             )
         found = compare(read_json(path), self.recordings(self._place(runs[-1].run)))
+        if found is None:
+            self._say(f"{runs[-1].run}: the prediction is not compared: there is no steady motion")
+            return None
         self.state.confirmation |= found.record()
         self.state.save(self._folder)
         return found

@@ -108,6 +108,25 @@ def test_recordings_before_heat_the_winding(tmp_path: Path) -> None:
         assert computed(second) != pytest.approx(computed(first), rel=1e-3)
 
 
+def test_a_winding_has_no_heat_left_after_a_long_pause(tmp_path: Path) -> None:
+    model = CorrectedModel(PARAMETERS, 2.0, {"winding_heating": middle("winding_heating")})
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+
+    def seen(**more: Any) -> Any:
+        still = np.zeros(len(TIME))
+        return module.signals(
+            module.M, TIME, still, still, still, current=CURRENT, voltage=1.6 * CURRENT, **more
+        )
+
+    first = seen()
+    for factor, alike in ((1.0, False), (30.0, True)):
+        late = factor * model.effects["winding_heating"]["time_s"]
+        second = seen(run_start=TIME[-1] + late, before=first)
+        for computed in (module.voltage, model.voltage):
+            same = computed(second) == pytest.approx(computed(first), rel=1e-5)
+            assert same is alike
+
+
 def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:
     text = python_text(
         CorrectedModel(PARAMETERS, 2.0, {"presliding": middle("presliding")}), RECORDING, "bench"

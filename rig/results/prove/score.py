@@ -150,12 +150,10 @@ def row_of(
 
 def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
     """Score effects, each with its alias group."""
-    alarm = {"alarm": bool(said), "top1": None, "alias": None, "exact": None}
     if kind not in ("one", "two"):
-        return alarm
+        return {"top1": None, "alias": None, "exact": None}
     counted = said[:1] if kind == "one" else said[:MOST_NAMED]
     return {
-        **alarm,
         "top1": set(names) <= {group[0] for group in counted},
         "alias": set(names) <= {name for group in counted for name in group},
         "exact": set(names) == {group[0] for group in said},
@@ -199,7 +197,8 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
             "after": shift["after"] / true[name] - 1.0,
         }
         for name, shift in diagnosis["parameter_shift"].items()
-        if name in true and None not in (shift["before"], shift["after"])
+        # A true value of zero has no relative error.
+        if true.get(name) and None not in (shift["before"], shift["after"])
     }
 
 
@@ -446,10 +445,13 @@ def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return the number of trials by true effect and by first name, or else verdict."""
+    """Return the number of trials by true effect and by first name, or else verdict; the part of a
+    mismatch outside the catalogue is no name.
+    """
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
-        called = row["named"][0]["name"] if row["named"] else row["verdict"]
+        outside = row["verdict"] == "outside_catalogue"
+        called = row["verdict"] if outside or not row["named"] else row["named"][0]["name"]
         table[row["effects"][0]][called] += 1
     return {name: dict(sorted(table[name].items())) for name in sorted(table)}
 

@@ -17,6 +17,7 @@ from identification.diagnosis.comparison import (
 )
 from identification.diagnosis.held_out import with_indistinct_effects
 from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.rows import gather_of
 from identification.diagnosis.search import Search
 from identification.effects import MOTION
 from identification.effects.effect import Context
@@ -51,6 +52,16 @@ def test_fits_with_equally_many_parameters_are_compared_by_what_they_leave() -> 
     better, worse = left(STOP, 1.0), left(STOP, 30.0)
     assert preference(better, worse) == advantage(better, worse) > 1.0
     assert preference(worse, better) == -preference(better, worse)
+
+
+def test_one_block_of_time_prefers_no_fit() -> None:
+    one = []
+    for joint in (left(STOP, 1.0), left(STOP, 30.0)):
+        block = np.zeros_like(joint.stack.block)
+        gather = gather_of(joint.equations, block, 1)
+        stack = replace(joint.stack, block=block, blocks=1, gather=gather)
+        one.append(replace(joint, stack=stack))
+    assert preference(*one) == advantage(*one) == 0.0
 
 
 @pytest.mark.parametrize(("gain", "sure"), [(0.5, False), (8.0, True)])

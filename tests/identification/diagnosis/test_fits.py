@@ -192,6 +192,20 @@ def test_a_joint_encoder_that_slipped_does_not_turn_the_joint() -> None:
     assert np.max(np.abs(lost.angle - plain.angle - slip)) < noise
 
 
+def test_the_campaign_shows_whether_the_motor_lost_its_origin() -> None:
+    """A recording alone has the motor angle that it has beside the others."""
+    first, second = (
+        replace(r, channels={**r.channels, "motor_angle": r.channels["motor_angle"] + zero})
+        for r, zero in zip(honest()[:2], (0.0, 2.0), strict=True)
+    )
+    together = views((first, second), 25.0)
+    for recording, beside in zip((first, second), together, strict=True):
+        (alone,) = views((recording,), 25.0, campaign=(first, second))
+        assert np.array_equal(alone.motor, beside.motor)
+    (apart,) = views((second,), 25.0)
+    assert np.max(np.abs(apart.motor - together[1].motor)) > 0.1
+
+
 def test_friction_of_the_rotor_does_not_twist_the_shaft() -> None:
     """A part of the friction may be on the motor's side, before the shaft."""
     stiffness, friction = 900.0, 3.0

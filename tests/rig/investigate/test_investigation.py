@@ -25,6 +25,7 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
+from identification.recording import Dataset, Recording
 from rig.cli.commands.investigate import _runner
 from rig.cli.entry import BAD_INPUT, STOPPED, status
 from rig.common.errors import InputError
@@ -86,6 +87,7 @@ class World:
     indistinct: bool = False
     selected: str = ""
     only: str = ""
+    empty: tuple[str, ...] = ()
     held: tuple[float, ...] = ()
     moments: int = 0
     outside: Callable[[int], float] = lambda _: 0.01
@@ -170,7 +172,12 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
         stage = SimpleNamespace(name="wide-slow-unloaded", state=found)
         return SimpleNamespace(state=found, stages=[stage])
 
-    monkeypatch.setattr(loop, "read_runs", lambda folders: folders)
+    def read(folders: list[Path]) -> list[Path]:
+        if not [f for f in folders if f.name not in made.empty]:
+            raise InputError("no run to investigate")
+        return folders
+
+    monkeypatch.setattr(loop, "read_runs", read)
     monkeypatch.setattr(loop, "judge_recordings", made.judge)
     monkeypatch.setattr(loop, "propose", made.propose)
     monkeypatch.setattr(loop, "predict", made.predict)
@@ -328,6 +335,64 @@ def test_killed_at_any_moment_nothing_is_lost_or_run_twice(world: World) -> None
     assert {end for end, _ in ends} == {ends[0][0]}
     assert {p.count("confirm") for _, p in ends} == {1}
     assert all(len(p) == len(whole) for _, p in ends)
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_first_run_that_tripped_is_used_and_repeated_only_if_it_recorded_nothing(
+    world: World, empty: bool
+) -> None:
+    state = new()
+    state.experiments = [Experiment("01-first", "01-first.yaml", "", 100.0, 0, purpose="first")]
+    (world.folder / "01-first").mkdir()
+    world.write(world.folder / "01-first", "tripped")
+    world.empty = ("01-first",) if empty else ()
+    world.begin(state).run()
+    assert purposes(state).count("first") == 1 + empty
+    assert state.experiments[0].state == "tripped"
+
+
+@pytest.mark.parametrize("more", [{"budget_min": 9.0}, {"trips": True}])
+def test_a_recording_is_not_repeated_beyond_the_budget_nor_after_a_trip(
+    world: World, more: dict[str, Any]
+) -> None:
+    world.per_run, world.only = 9.0, "01-first"
+    state = new(budget_min=more.get("budget_min"))
+    state.experiments = [
+        Experiment("01-first", "01-first.yaml", "", 400.0, 0, purpose="first", state="done")
+    ]
+    (world.folder / "01-first").mkdir()
+    world.write(world.folder / "01-first", "done")
+    if more.get("trips"):
+        state.experiments[0].state = "tripped"
+    world.begin(state).run()
+    assert "repeat" not in purposes(state)
+
+
+def test_a_pair_is_tried_again_after_a_prediction_that_failed(world: World) -> None:
+    world.indistinct, world.per_run, world.held = True, 0.0, (LEAST_HELD - 0.1,)
+    state, covers = new(), list[bool]()
+    plain = world.propose
+
+    def propose(*arguments: Any) -> Any:
+        covers.append(arguments[-2])
+        return plain(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "propose", propose)
+        world.begin(state).run()
+    assert covers.count(False) == 2, "once before the failure, once after it"
+
+
+def test_runs_of_equal_folder_names_keep_their_recordings_apart(tmp_path: Path) -> None:
+    names = [tmp_path / each / "01-first" for each in "ab"]
+    recorded = SimpleNamespace(created="2026-11-30T00:00:00+00:00", simulated=True, realtime=False)
+    one = Recording(np.arange(4.0), np.zeros(4), np.zeros(4), name="a")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "read_record", lambda _: recorded)
+        patch.setattr(loop, "load_run", lambda *_, **__: Dataset((one,)))
+        found = loop.read_runs(names)
+    assert len({r.name for r in found.recordings}) == 2
+    assert len({r.session for r in found.recordings}) == 2
 
 
 def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
