@@ -128,8 +128,16 @@ def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
         return np.interp(instants, time, values)
     period = float(np.median(np.diff(time)))
     edges = np.concatenate(([time[0] - period], time))
-    total = np.concatenate(([0.0], np.cumsum(values * np.diff(edges))))
     span = float(np.median(np.diff(instants)))
-    return np.asarray(
-        (np.interp(instants, edges, total) - np.interp(instants - span, edges, total)) / span
-    )
+    known = np.isfinite(values)
+
+    def mean_of(each: Array) -> Array:
+        total = np.concatenate(([0.0], np.cumsum(each * np.diff(edges))))
+        return np.asarray(
+            (np.interp(instants, edges, total) - np.interp(instants - span, edges, total)) / span
+        )
+
+    found = mean_of(np.where(known, values, 0.0))
+    if not known.all():
+        found[mean_of(np.where(known, 0.0, 1.0)) > 0.0] = np.nan
+    return found

@@ -74,7 +74,15 @@ def mend(folder: Path) -> Recovery:
     first = read_log(folder / RECORDING_FILE)
     (folder / RESERVE_FILE).unlink(missing_ok=True)
     record, damage = _record(folder)
-    while len(record.parts) > 1 and _never_begun(folder / record.parts[-1].file):
+    while len(record.parts) > 1 and _is_empty(folder / record.parts[-1].file):
+        part = record.parts[-1]
+        if part.state != "running":
+            raise InputError(
+                f"{folder / part.file}: the file is missing or empty, but {RUN_FILE} has this "
+                f"recording as {part.state}; put the file back"
+            )
+        # The writer died before the first byte.
+        (folder / part.file).unlink(missing_ok=True)
         record.parts.pop()
     logs = [first, *(read_log(folder / part.file) for part in record.parts[1:])]
     for part, log in zip(record.parts, logs, strict=True):
@@ -93,12 +101,8 @@ def damaged_name(file: str) -> str:
     return f"{Path(file).stem}.damaged{Path(file).suffix}"
 
 
-def _never_begun(path: Path) -> bool:
-    """Return whether the writer died before the first byte; remove the empty file."""
-    if path.exists() and path.stat().st_size:
-        return False
-    path.unlink(missing_ok=True)
-    return True
+def _is_empty(path: Path) -> bool:
+    return not (path.exists() and path.stat().st_size)
 
 
 def _mend(path: Path, log: Log) -> None:
@@ -198,10 +202,16 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:
-    """Add the excitations of one recording; one with missing samples gets no end."""
+    """Add the excitations and confirmed masses of one recording; an excitation with missing samples
+    gets no end.
+    """
+    index = None
     for event in log.events:
         if event["event"] == "prompt":
             discard(record, event["index"])
+            index = event["index"]
+        elif event["event"] == "answer" and index is not None:
+            record.stages[index].confirmed_kg = event["weight_kg"]
         elif event["event"] == "segment":
             stage = record.stages[event["index"]]
             times = log.samples["time"][log.samples["segment"] == event["number"]]

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.model.parameters import LINEAR
 from identification.prepare import coarser_than_velocity
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.errors import InputError
@@ -198,7 +199,7 @@ def build(
         table, channels, unread + skipped, stamped=section.rate is None
     )
     stamps = channels.pop(ANGLE_TIME, None)
-    found += [*cut, *mended, *unit_row_doubts(table, section)]
+    found += [*cut, *mended, *unit_row_doubts(table, section, bench.motion == LINEAR)]
     problems, doubts = findings(
         channels,
         bench.gear_ratio,
@@ -552,7 +553,10 @@ def _files(
         matches = (
             [exact]
             if os.path.exists(exact)
-            else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
+            else [
+                folder / m
+                for m in sorted(glob(str(stored_path(pattern)), root_dir=folder, recursive=True))
+            ]
         )
         if not matches:
             what = "no file matches this pattern" if has_magic(pattern) else "no such file"

@@ -181,7 +181,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
 def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tuple[Array, str]:
     """Correct a counter, as :func:`unwrapped`, to which the file has applied factor and offset."""
     factor, offset = scale
-    if name in TIMES or not np.isfinite(factor) or factor == 0.0:
+    if not np.isfinite(factor) or factor == 0.0:
         return values, ""
     counts = (values - offset) / factor
     whole = np.rint(counts)

@@ -14,7 +14,8 @@ from rig.sources.table import Table
 
 _DEG, _TURN = math.pi / 180.0, 2.0 * math.pi
 _SPELLED: Final[Mapping[str, Mapping[str, float]]] = {
-    "s": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "s": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "ns": 1e-9}
+    | dict.fromkeys(("us", "µs", "\u03bcs"), 1e-6),
     "A": {"a": 1.0, "ma": 1e-3},
     "V": {"v": 1.0, "mv": 1e-3},
     "rad": {"rad": 1.0, "mrad": 1e-3}
@@ -124,7 +125,7 @@ def guess_mass(stem: str) -> float:
     return float(re.sub("[,p]", ".", found[1])) if found else 0.0
 
 
-def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
+def unit_row_doubts(table: Table, section: RecordingSection, linear: bool = False) -> Iterator[str]:
     """Yield a note for each channel with scale 1 whose unit in the row of units is not SI."""
     if not table.units:
         return
@@ -136,8 +137,8 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
         if place >= len(table.units) or channel.scale != 1.0:
             continue
         unit = table.units[place].strip("[]() ")
-        si, size = UNITS.get(unit.lower(), ("", 1.0))
-        if size != 1.0 and name in CHANNELS and si == CHANNELS[name]:
+        si, size = UNITS.get(split_unit(f"x [{unit}]")[1], ("", 1.0))
+        if size != 1.0 and name in CHANNELS and si == channel_unit(name, linear):
             yield (
                 f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set the "
                 f"scale to {size:.10g}"

@@ -10,12 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
+from identification.model.parameters import LINEAR
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
 from rig.common.places import usable
 from rig.config.campaign_sections import ReadSection
 from rig.sources.channels import POSITIONS, on_one_time, starts_again, unwrapped, unwrapped_counts
-from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
+from rig.sources.columns import (
+    UNITS,
+    Guess,
+    channel_unit,
+    guess_channels,
+    is_linear,
+    split_unit,
+)
 from rig.sources.formats import FORMATS, open_table, unknown_format
 from rig.sources.plausible import findings
 from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES, other_unit
@@ -105,7 +113,7 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
     leaves = [_INDEX.sub("", name.rsplit(".", 1)[-1]) for name in stated]
     guesses = {
         channel: guess._replace(column=leaves.index(str(guess.column)))
-        for channel, guess in guess_channels(leaves).items()
+        for channel, guess in guess_channels(leaves, is_linear(leaves)).items()
     }
     guesses = _time_of_most(table, leaves, guesses)
     columns = tuple(
@@ -132,7 +140,7 @@ def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) ->
     most = max(dict.fromkeys(bases), key=bases.count)
     own = [k if table.bases[k] == most else -1 for k in range(len(leaves))]
     there = {k: leaves[k] for k in own if k >= 0}
-    time = guess_channels(there.values()).get("time")
+    time = guess_channels(there.values(), is_linear(there.values())).get("time")
     if time is None:
         return guesses
     place = next(k for k, leaf in there.items() if leaf == time.column)
@@ -172,8 +180,9 @@ def _doubts(
 def look_at_recording(recording: Recording) -> Look:
     """Describe the channels of a recording from a run folder or a campaign, in SI units."""
     guesses = {name: Guess(k, 1.0) for k, name in enumerate(recording.channels)}
+    linear = recording.bench.motion == LINEAR
     columns = tuple(
-        _column(k, name, channel_unit(name) if name in CHANNELS else "", values, guesses)
+        _column(k, name, channel_unit(name, linear) if name in CHANNELS else "", values, guesses)
         for k, (name, values) in enumerate(recording.channels.items())
     )
     clock = _clock(list(recording.channels).index("time"), recording.time, 1.0)
@@ -236,7 +245,7 @@ def _column(
         problem="",
         course=tuple(
             float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else nan
-            for part in np.array_split(values, min(STRIP, len(values)))
+            for part in np.array_split(values, max(1, min(STRIP, len(values))))
         ),
     )
 

@@ -56,7 +56,7 @@ class ServedTable(Table):
         if "problems" in answer:
             raise InputError(answer["problems"])
         if "damage" in answer:
-            raise damaged(self.path, answer["damage"], answer.get("remedy", self.remedy))
+            raise damaged(self.path, answer["damage"], self.remedy)
         for note in answer["notes"]:
             self.note(note)
         return answer, arrays

@@ -69,6 +69,11 @@ def _utf8(text: str) -> str:
         return text.lstrip("\ufeff")
 
 
+def _without_mark(text: str) -> str:
+    """Return a line that was decoded as Latin-1 or UTF-8 without a byte-order mark."""
+    return text.removeprefix("\ufeff").removeprefix("\xef\xbb\xbf")
+
+
 def _guess_delimiter(lines: Sequence[str], decimal: str) -> str:
     """Return the delimiter of the first lines with content, header first."""
     text = lines[0]
@@ -422,7 +427,7 @@ class DelimitedTable(Table):
     def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
-                content = _without_comment(text)
+                content = _without_comment(_without_mark(text) if line == 1 else text)
                 if content:
                     yield line, content
 

@@ -225,10 +225,15 @@ def test_what_was_out_of_date_or_of_another_recording_is_seen(run: Path) -> None
         {"device": "encoder", "id": "C-18", "due": "2027-01-01", "overdue": False},
     ]
     (run / "run.json").write_text(json.dumps(raw))
-    old = json.loads((run / "identify.json").read_text())
+    right = json.loads((run / "identify.json").read_text())
+    old = json.loads(json.dumps(right))
     old["inputs"][0]["sha256"] = "0" * 64
     (run / "identify.json").write_text(json.dumps(old))
     assert gather(run, (), lambda what, share: None).constants == {}
+    for change, current in (({"partial": True}, False), ({"inputs": []}, False), ({}, True)):
+        (run / "identify.json").write_text(json.dumps(right | change))
+        assert bool(gather(run, (), lambda what, share: None).constants) is current
+    (run / "identify.json").write_text(json.dumps(old))
     accept(run, (), "test", lambda what, share: None)
     page = (run / "certificate.html").read_text()
     for words in ("C-17", "2026-01-01", "OVERDUE", "C-18", "valid"):

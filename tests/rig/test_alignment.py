@@ -141,6 +141,17 @@ def test_a_campaign_may_have_the_encoders_stamps(tmp_path: Path) -> None:
     assert np.max(np.abs(found.channels["angle"] - np.sin(found.time))) < 6e-5
 
 
+def test_a_missing_mean_stays_alone() -> None:
+    """A voltage that is not measured while the power is off."""
+    time = np.arange(4000) / 1000.0
+    voltage = np.where((time > 1.0) & (time < 1.5), np.nan, np.sin(time))
+    channels = {"time": time, "angle": np.sin(time), "voltage": voltage}
+    found, _ = aligned(channels, time + 0.0003, frozenset({"voltage"}), 100.0)
+    there = (found["time"] < 0.9) | (found["time"] > 1.6)
+    assert np.max(np.abs(found["voltage"] - np.sin(found["time"] - 0.0005))[there]) < 1e-3
+    assert np.all(np.isnan(found["voltage"][(found["time"] > 1.01) & (found["time"] < 1.49)]))
+
+
 def test_stamps_without_an_angle_are_refused(tmp_path: Path) -> None:
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("angle: q", "motor_angle: q"))
     with pytest.raises(InputError, match="time stamps of an encoder without its `angle`"):

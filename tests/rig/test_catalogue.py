@@ -69,8 +69,9 @@ def test_a_list_reads_what_has_changed(root: Path) -> None:
     assert (first.read, again.read, again.note) == (2, 0, "")
     assert again.entries == first.entries
     (root / "one" / "identify.json").write_text(json.dumps(IDENTIFIED))
-    # A ring of links ends.
+    # A ring of links ends, and a link to itself is no folder.
     (root / "ring").symlink_to(root, target_is_directory=True)
+    (root / "itself").symlink_to(root / "itself")
     again = list_runs(root)
     assert (again.read, len(again.entries)) == (1, 2)
     assert listed(root)["one"].head.identified == "default"
@@ -158,6 +159,12 @@ def test_runs_are_chosen_by_what_is_known(root: Path) -> None:
         (Wanted(until=time_of("2027-01-02T03:04:05")), 1),
     ]:
         assert len(chosen(root, list_runs(root).entries, wanted)) == expected, wanted
+
+
+@pytest.mark.parametrize("day", ["2027-01-02", "20270102"])
+def test_until_a_day_holds_the_day(root: Path, day: str, capsys) -> None:
+    assert status(["runs", "list", str(root), "--until", day]) == 0
+    assert "2 runs" in capsys.readouterr().out
 
 
 def test_a_run_without_an_end_is_going_on_or_has_died(root: Path) -> None:

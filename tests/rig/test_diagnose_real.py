@@ -165,7 +165,9 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
 @pytest.mark.parametrize(
     ("mass", "length"),
     [
-        pytest.param(259, 50, marks=pytest.mark.proof),
+        # The fitted recordings prefer the weight to presliding by 2.0 standard errors, those set
+        # aside presliding by 1.9: it stays open.
+        pytest.param(259, 50, marks=[pytest.mark.proof, pytest.mark.xfail(strict=True)]),
         (259, 70),
         (259, 100),
         pytest.param(457, 50, marks=pytest.mark.proof),

@@ -77,6 +77,18 @@ def test_what_a_text_file_is_comes_out_and_is_said(tmp_path, text, note):
     assert len(recording.notes) == (note is not None)
 
 
+def test_a_byte_order_mark_without_a_header_is_no_cell(tmp_path: Path) -> None:
+    channels = "{time: 0, current: 1, motor_angle: 2, angle: 3}"
+    is_truth(load(tmp_path, "\ufeff" + "\n".join(lines_of()), channels))
+
+
+def test_a_pattern_in_a_folder_with_brackets(tmp_path: Path) -> None:
+    folder = tmp_path / "data [old]"
+    folder.mkdir()
+    (folder / "log.csv").write_text(HEAD + "\n".join(lines_of()))
+    is_truth(load_file(folder, "'*.csv'", CHANNELS, "{}"))
+
+
 def test_dates_with_and_without_an_offset_are_seconds(tmp_path: Path) -> None:
     stamps = np.datetime64("2026-02-28T23:59:59.900", "us") + (TIME * 1e6).round().astype(int)
     for suffix in ("", "+01:00"):

@@ -50,6 +50,32 @@ def test_a_look_finds_units_rate_gap_wrap_and_text(tmp_path, capsys):
     assert log["clock"]["period_s"] == pytest.approx(2e-3)
 
 
+def test_the_record_of_a_look_is_json_for_every_reader(tmp_path):
+    write_log(tmp_path / "log.csv")
+    record = tmp_path / "look.json"
+    assert status(["look", str(tmp_path / "log.csv"), "--json", str(record)]) in (None, 0)
+
+    def refuse(word: str) -> None:
+        raise AssertionError(word)
+
+    json.loads(record.read_text(), parse_constant=refuse)
+
+
+def test_a_column_without_rows_is_shown(tmp_path):
+    np.savez(tmp_path / "empty.npz", t=np.empty(0), q=np.empty(0))
+    assert status(["look", str(tmp_path / "empty.npz")]) in (None, 0, 2)
+
+
+def test_a_linear_bench_has_its_own_units(tmp_path, capsys):
+    rows = "\n".join(f"{0.001 * k},{k % 7},{k % 5}" for k in range(400))
+    (tmp_path / "log.csv").write_text(f"t,pos [mm],force_kN\n{rows}\n")
+    campaign = tmp_path / "c.yaml"
+    assert status(["look", str(tmp_path / "log.csv"), "--campaign", str(campaign)]) in (None, 0)
+    text = campaign.read_text()
+    assert "angle: " in text
+    assert "torque: " in text
+
+
 def test_the_campaign_of_a_look_is_valid_and_loads(tmp_path, capsys):
     write_log(tmp_path / "log_5kg.csv", "time_ms;i [mA];phi_m;pos [deg];text")
     text = (tmp_path / "log_5kg.csv").read_text().replace(",", ";").replace(".", ",")

@@ -13,6 +13,7 @@ from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
+from rig.results.acceptance.evidence import gather
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
@@ -124,6 +125,45 @@ def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch) -
     assert status(["resume", "out", "--yes"]) == 0
     files = [part.file for part in read_record(Path("out")).parts]
     assert files == ["recording.mcap", "recording-2.mcap"]
+
+
+@pytest.mark.usefixtures("stopped")
+def test_a_recording_that_was_complete_and_is_missing_is_asked_for() -> None:
+    assert status(["resume", "out", "--yes"]) == 0
+    before = Path("out/run.json").read_bytes()
+    Path("out/recording-2.mcap").rename("elsewhere.mcap")
+    assert status(["recover", "out"]) == 2
+    assert Path("out/run.json").read_bytes() == before
+    Path("elsewhere.mcap").rename("out/recording-2.mcap")
+    assert status(["recover", "out"]) == 0
+
+
+@pytest.mark.usefixtures("stopped")
+def test_a_result_of_a_part_of_the_run_is_not_current() -> None:
+    part = {"inputs": [{"file": "recording.mcap", "sha256": sha("recording.mcap")}]}
+    assert status(["resume", "out", "--yes"]) == 0
+    whole = [*part["inputs"], {"file": "recording-2.mcap", "sha256": sha("recording-2.mcap")}]
+    constant = {"name": "Mc", "value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}
+    for inputs, current in ((part["inputs"], False), (whole, True)):
+        result = {"inputs": inputs, "parameters": [constant], "method": "default"}
+        Path("out/identify.json").write_text(json.dumps(result))
+        found = gather(Path("out"), (), lambda what, share: None)
+        assert (found.method == "default") is current
+
+
+def sha(name: str) -> str:
+    return hashlib.sha256((Path("out") / name).read_bytes()).hexdigest()
+
+
+def test_the_confirmed_masses_come_back_from_the_recording() -> None:
+    assert start() == 0
+    kept = json.loads(Path("out/run.json").read_text())
+    Path("out/run.json").unlink()
+    assert status(["recover", "out"]) == 0
+    found = json.loads(Path("out/run.json").read_text())
+    masses = [[stage["confirmed_kg"] for stage in record["stages"]] for record in (kept, found)]
+    assert masses[0] == masses[1]
+    assert masses[0][1] == 10.0
 
 
 def test_a_finished_run_has_nothing_to_go_on_with() -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from identification.numerics.arrays import plain
 from rig.cli import options as shared
 from rig.common.errors import InputError
 from rig.common.places import is_folder, write_asked
@@ -165,6 +165,8 @@ def described(look: Look) -> str:
 
 def _clock_words(look: Look) -> str:
     clock = look.clock
+    if clock is None and "time" in look.guesses:
+        return "there are too few rows to describe the time"
     if clock is None:
         return (
             "no column is recognised as time: name the column of time in the campaign file or, if "
@@ -204,9 +206,8 @@ def _row(column: Column) -> tuple[str, ...]:
 
 def look_record(looks: Sequence[Look]) -> dict[str, Any]:
     """Return the record of ``rig look --json``."""
-    logs = [asdict(look) for look in looks]
+    logs = [plain(look, "guesses") for look in looks]
     for log in logs:
-        del log["guesses"]
         for column in log["columns"]:
             del column["turn"]
     return {**heading(LOOK_SCHEMA), "logs": logs}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +43,9 @@ class _Day(_Time):
             found = datetime.fromisoformat(value)
         except ValueError:
             self.fail(f"{value!r} is no date; write 2026-11-27 or 2026-11-27T08:30", param, ctx)
-        if self._last and len(value) == len("2026-11-27"):
-            found += timedelta(days=1)
+        with suppress(ValueError):
+            if self._last and date.fromisoformat(value):
+                found += timedelta(days=1)
         return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 

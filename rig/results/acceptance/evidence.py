@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,8 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     }
     problems: list[str] = []
     dataset = _tried(lambda: load_run(folder), problems)
-    identified = _current(folder / IDENTIFY_FILE, digests)
+    used = {r.sha256 for r in dataset.recordings} if dataset is not None else set()
+    identified = _current(folder / IDENTIFY_FILE, used)
     needed = any(
         isinstance(limit, Range) or getattr(limit, "measure", "") == "torque error"
         for limit in limits
@@ -75,7 +76,7 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
         identified = _tried(lambda: _identified(folder, progress), problems) or {}
     diagnosed: Mapping[str, Any] = {}
     if any(limit.text == NOTHING_MISSING for limit in limits):
-        diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, digests)
+        diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, used)
         if not diagnosed and dataset is not None:
             diagnosed = _tried(lambda: _diagnosed(folder, progress), problems) or {}
     weighed = any(limit.text == WEIGHT_CHECK for limit in limits)
@@ -102,14 +103,16 @@ def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
         return None
 
 
-def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
-    """Return the record of a result file made from the present recordings; otherwise, {}."""
+def _current(path: Path, present: Collection[str]) -> dict[str, Any]:
+    """Return the record of a result file made from all present recordings, by their digests;
+    otherwise, {}.
+    """
     try:
         found = json.loads(path.read_bytes())
         used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}
     except (OSError, ValueError, LookupError, TypeError):
         return {}
-    return found if used and used <= set(digests.values()) else {}
+    return found if used and used == {*present} and not found.get("partial") else {}
 
 
 def _identified(folder: Path, progress: Progress) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from os.path import isdir
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,7 +59,7 @@ def _found(root: str, folder: str, depth: int, seen: set[str]) -> Iterator[Found
         return
     try:
         with os.scandir(path) as items:
-            below = [item for item in items if not item.name.startswith(".") and item.is_dir()]
+            below = [item for item in items if not item.name.startswith(".") and isdir(item.path)]
     except OSError as error:
         if depth:
             yield Found(folder, f"unreadable {error.errno}")
