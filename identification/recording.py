@@ -248,7 +248,8 @@ class Recording:
             increasing. NaN marks samples that were not measured (``voltage`` while the power stage
             is off).
         bench: Constants of the machine.
-        stage: ``unloaded`` or ``loaded``; unless stated, ``loaded`` with a weight.
+        stage: ``unloaded`` or ``loaded``; unless stated, ``loaded`` with a weight or a measured
+            force.
         weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
         pendulum: Known weight that turns with the joint, or None.
         hoist: Known mass that the joint lifts, or None.
@@ -345,10 +346,12 @@ class Recording:
             own = {"time": index} if getattr(index, "name", None) == "time" else {}
             table |= {n: v for n, v in getattr(channels, "coords", own).items() if n == "time"}
         table |= {n: given[n] for n in CHANNELS if given[n] is not None}
+        series = {n: _series(name, n, values) for n, values in table.items()}
+        pressed = "load_force" in series and bool(np.any(series["load_force"] != 0.0))
         given |= {
-            "channels": {n: _series(name, n, values) for n, values in table.items()},
+            "channels": series,
             "bench": bench or Bench(),
-            "stage": stage or ("loaded" if weight_mass > 0.0 else "unloaded"),
+            "stage": stage or ("loaded" if weight_mass > 0.0 or pressed else "unloaded"),
             "averaged": frozenset(averaged),
             "uncertainties": uncertainties or {},
         }

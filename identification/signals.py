@@ -192,8 +192,9 @@ class Decimator:
 
     def untouched(self, bad: BoolArray) -> BoolArray:
         """Return a mask of the outputs, after decimation, that depend on no ``bad`` sample."""
-        spread = np.convolve(bad.astype(np.float64), np.ones(len(self.taps)), mode="valid")
-        return np.asarray(spread[:: self.factor] < 0.5)
+        total = np.concatenate(([0], np.cumsum(bad)))
+        reach = len(self.taps)
+        return np.asarray((total[reach:] == total[:-reach])[:: self.factor])
 
 
 @compiled_sums

@@ -55,6 +55,11 @@ class Contender:
     beyond: str
 
     @property
+    def open(self) -> bool:
+        """Whether the data do not reject the rival, and its parameters are plausible."""
+        return self.preference < RULES.rejected and not self.beyond
+
+    @property
     def effect(self) -> Added:
         """The rival as it was fitted."""
         return next(e for e in self.joint.effects if e.term.name == self.name)

@@ -616,7 +616,8 @@ def _warnings(baseline: Joint, aside: Sequence[Burn], main: Fit) -> list[str]:
             )
     pulls = baseline.residual[baseline.equations[0].owner < 0]
     strained = [
-        f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}"
+        f"{name} by {abs(p):.1f} times "
+        + (f"{100.0 * c.tolerance:.2g} %" if c.relative else f"{c.tolerance:.2g} {c.unit}")
         for (name, c), p in zip(CONSTANTS.items(), pulls, strict=False)
         if abs(p) > DEVIATION_LIMIT
     ]

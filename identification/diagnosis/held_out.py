@@ -368,8 +368,7 @@ def _with_rivals_judged(
             rival = replace(rival, preference=max(rival.preference, worse))
         elif worse <= -RULES.rejected:
             place = [e.term.name for e in tried.effects].index(rival.name)
-            open_ = rival.preference < RULES.rejected and not rival.beyond
-            if open_ and undetermined_size(tried, place) is None:
+            if rival.open and undetermined_size(tried, place) is None:
                 better.append((worse, rival, tried))
             else:
                 rival = replace(rival, preference=min(rival.preference, 0.0))
@@ -544,7 +543,7 @@ def _sole_parts(squares: Array, parts: Array) -> Array:
 
 def with_indistinct_effects(found: Search, terms: Sequence[Effect]) -> Search:
     """Return the search with effects that these recordings cannot distinguish from an identified
-    effect as further rivals. Such a rival is open, that is, not rejected.
+    effect as further rivals. Such a rival is open unless its parameters are implausible.
     """
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
     rounds = tuple(

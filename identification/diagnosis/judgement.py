@@ -182,8 +182,8 @@ def _most_reduced(
 
 
 def _open_rivals(taken: Round) -> tuple[str, ...]:
-    """Return the rivals that the data do not reject."""
-    return tuple(r.name for r in taken.rivals if r.preference < RULES.rejected)
+    """Return the rivals that are not rejected."""
+    return tuple(r.name for r in taken.rivals if r.open)
 
 
 def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffect, ...]:

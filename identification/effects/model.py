@@ -27,7 +27,7 @@ from identification.views.predicted import (
     predicted_breakaways,
     predicted_voltage,
 )
-from identification.views.view import View, rise_rate, views
+from identification.views.view import View, delayed_view, rise_rate, views
 
 COORDINATES = {"angle": "angle", "speed": "velocity"}
 """Coordinates of an empirical curve, with the signal of each coordinate."""
@@ -54,16 +54,19 @@ class Curve:
 
 class Response(NamedTuple):
     """What one effect adds to one equation: coefficients times the regressors ``columns`` at the
-    nonlinear parameters ``shape``.
+    nonlinear parameters ``shape``; with ``late``, in the view that a time skew has moved.
     """
 
     effect: Effect
     columns: Columns
     shape: Shape
     coefficients: Coefficients
+    late: bool = False
 
     def added(self, view: View, nominal: Nominal) -> Array:
         """Return what the effect adds, shape (m,)."""
+        if self.late:
+            view = delayed_view(view, nominal.late_s)
         return np.asarray(np.array(self.coefficients) @ self.columns(view, nominal, self.shape))
 
 
@@ -163,7 +166,8 @@ class CorrectedModel:
             effect = self.catalogue[name]
             columns = effect.corrected
             if equation in columns:
-                yield Response(effect, columns[equation], shape, coefficients)
+                late = effect.at_angle and equation == "torque" and self.nominal.late_s != 0.0
+                yield Response(effect, columns[equation], shape, coefficients, late)
 
     def torque(self, view: View) -> Array:
         """Return the torque that the motion requires, N m at the joint, shape (n,)."""

@@ -213,7 +213,9 @@ def _required(
     fitted: Fitted, recording: Recording, draws: int, rng: np.random.Generator
 ) -> Simulation:
     """Return the torque that the recorded motion requires, at the bandwidth of the fit."""
-    known = {"torque", "current", "voltage"} & recording.channels.keys()
+    bench, known = recording.bench, {"torque", "current", "voltage"} & recording.channels.keys()
+    if bench.resistance is None or bench.back_emf_constant is None:
+        known.discard("voltage")
     if not known:
         nothing = {"torque": np.zeros(len(recording.time))}
         recording = dataclasses.replace(recording, channels={**recording.channels, **nothing})

@@ -327,6 +327,12 @@ class GearMeshRipple(Effect):
         turns = max(float(np.ptp(v.angle)) for v in context.views) / (2.0 * pi)
         return [shape for shape in super().shapes(context) if shape[0] * turns >= 1.0]
 
+    def indistinct(
+        self, parameters: Mapping[str, float], _views: Sequence[View]
+    ) -> tuple[str, ...]:
+        # A difference of the angles without a torque may also be an error of an encoder.
+        return () if parameters["with_torque"] else ("encoder_ripple",)
+
     @staticmethod
     def transmission(view: View, _nominal: Nominal, shape: Shape) -> Array:
         return sine_cosine(shape[0], view.angle)

@@ -290,7 +290,16 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
 
 
 def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:
-    """Return the loaded stage (eq. 15) with fixed system parameters: mu_c, mu_s, omega_sL, mu_2."""
+    """Return the loaded stage (eq. 15) with fixed system parameters: mu_c, mu_s, omega_sL, mu_2.
+
+    Raises:
+        RecordingError: A loaded recording has no load.
+    """
+    if free := [p.recording.name for p in prepared if not np.any(p.moment)]:
+        raise RecordingError(
+            f"{free[0]}: the recording is loaded, but its contact force is zero; state the mass, "
+            "or `stage: unloaded`"
+        )
     return Stage(
         "loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known)
     )

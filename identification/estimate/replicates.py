@@ -290,4 +290,8 @@ def _replicate(joint: Point, m: Motion, loop: Loop, noise: Array) -> Motion | No
         "angle": np.floor(response.angle / step) * step,
         "torque": response.torque + noise[1],
     }
+    if "load_force" in r.channels:
+        # The force of the simulated response (:func:`_response`).
+        force = float(np.median(m.moment)) / (r.bench.moment_arm or 1.0)
+        channels["load_force"] = np.full(len(response.angle), force)
     return motion(replace(r, channels=channels, averaged=frozenset({"torque"}), notes=()))

@@ -63,8 +63,10 @@ def grid_of(machine: Machine) -> Grid:
     return Grid(speed.ravel(), angle.ravel())
 
 
-def fitted(torque: Array, grid: Grid) -> Passive:
-    """Return the passive joint that is nearest to a torque; least squares over the grid."""
+def fitted(torque: Array, grid: Grid, linear: bool = False) -> Passive:
+    """Return the passive joint that is nearest to a torque; least squares over the grid. The joint
+    of a linear bench slides level, so that no weight acts along it.
+    """
     one = np.ones(len(grid.speed))
     spring = np.stack((grid.angle, one))
     weight = np.stack((np.sin(grid.angle), np.cos(grid.angle)))
@@ -73,7 +75,8 @@ def fitted(torque: Array, grid: Grid) -> Passive:
     if _rms(place) <= ROUNDING * _rms(torque):
         place = np.zeros(len(torque))
     parts: tuple[Array, ...] = ()
-    for tried, gain in (((spring,), LEAST_GAIN), ((weight,), LEAST_GAIN), ((spring, weight), 0.5)):
+    turning = (((weight,), LEAST_GAIN), ((spring, weight), 0.5))
+    for tried, gain in (((spring,), LEAST_GAIN), *(() if linear else turning)):
         c, left = _least_squares(np.concatenate(tried), place)
         if (tried[0] is weight or c[0] > 0.0) and _rms(left) < (1.0 - gain) * _rms(
             _least_squares(np.concatenate(parts), place)[1] if parts else place
@@ -113,14 +116,15 @@ def mjcf_texts(
     """
     grid = grid_of(machine)
     torque = machine.steady(*grid)
-    plain = fitted(torque, grid)
+    linear = machine.motion == "linear"
+    plain = fitted(torque, grid, linear)
     value = {q.name: q.value for q in machine.parameters} | dict(values)
     ampere_torque = value.get("torque_constant", 1.0) * value.get("gear_ratio", 1.0)
     dropped = _dropped(machine, without, grid, torque, plain)
     force = machine.ranges.get("contact_force", (0.0, 0.0))[1]
     loaded = ""
     if force > 0.0:
-        other = fitted(machine.steady(*grid, force), grid)
+        other = fitted(machine.steady(*grid, force), grid, linear)
         loaded = (
             f"  With a contact force of {force:g} N: damping {other.damping:.6g}, frictionloss "
             f"{other.friction:.6g}, error {_rms(other.error):.4g} N m rms.\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -60,7 +61,7 @@ class Motion:
         """F_P L1 at the start of each segment, N m, shape (m,)."""
         return self.moment[self.seen.astype(np.int64)]
 
-    @property
+    @cached_property
     def matching(self) -> BoolArray:
         """Whether two segments are matching half cycles (M11), of the same or of opposite
         directions, shape (m, m); true on the diagonal.
@@ -129,7 +130,8 @@ def motion(recording: Recording) -> Motion | None:
     if isinstance(basis, str):
         return None
     recording, holes, angle, step = basis
-    velocity = np.gradient(np.convolve(angle, np.ones(5) / 5.0, mode="same"), recording.time)
+    smoothed = np.convolve(np.pad(angle, 2, mode="edge"), np.ones(5) / 5.0, mode="valid")
+    velocity = np.gradient(smoothed, recording.time)
     at = recording.time
     measured = {"torque", "current"} & recording.averaged
     torque = drive_torque(recording, at - 0.5 * recording.period if measured else at, velocity)
@@ -162,7 +164,7 @@ def motion(recording: Recording) -> Motion | None:
         table=table,
         seen=seen,
         steps=steps,
-        unsure=_unsure(at, angle, step, velocity, table, seen),
+        unsure=_unsure(at, angle, step, velocity, inside, table, seen),
         inside=inside,
         extra_inertia=extra,
         angle_variance=step * step / 12.0,
@@ -190,13 +192,21 @@ def _basis(recording: Recording) -> tuple[Recording, BoolArray, Array, float] | 
 
 
 def _unsure(
-    time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array
+    time: Array,
+    angle: Array,
+    step: float,
+    velocity: Array,
+    inside: BoolArray,
+    table: Array,
+    seen: Array,
 ) -> Array:
     """Return variance added to the speed's where a segment almost stops, (rad/s)^2, (n,)."""
     # Whether the joint stops there depends on the noise; without the added variance one segment
     # that almost stops would outweigh all others.
     period = float(np.median(np.diff(time)))
-    fastest = float(np.quantile(np.abs(velocity), 0.99))
+    fastest = float(np.quantile(np.abs(velocity[inside] if np.any(inside) else velocity), 0.99))
+    if fastest == 0.0:
+        return np.zeros(len(time))
     width = max(3, math.ceil(step / (STALLED * fastest * period)))
     out = np.zeros(len(time))
     for (_, last, side, _), visible in zip(table, seen.astype(np.int64), strict=True):

@@ -223,6 +223,20 @@ def plan(
         raise RecordingError(
             f"a plan needs recordings with a `command` channel (lacking: {missing})"
         )
+    first = planned[0]
+    unlike = [
+        r.name
+        for r in planned
+        if not math.isclose(r.period, first.period, rel_tol=1e-6)
+        or r.bench != first.bench
+        or r.known_load
+        or "load_force" in r.channels
+    ]
+    if unlike:
+        raise RecordingError(
+            f"{unlike[0]}: the recordings of a plan have one sample period, one bench, and weights "
+            "as their only load"
+        )
     fitted = fitted_of(result)
     names = NAMES if any(r.weight_mass for r in planned) else SYSTEM_PARAMETERS
     unknown = [n for n in names if not fitted.model.parameters.get(n)]

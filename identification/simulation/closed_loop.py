@@ -219,6 +219,10 @@ def inputs_of(recording: Recording) -> Inputs:
                 f"channel"
             )
         scale = channels["supply_voltage"]
+        known = np.isfinite(scale)
+        if not np.any(known):
+            raise RecordingError(f"{recording.name}: `supply_voltage` has no value")
+        scale = np.interp(recording.time, recording.time[known], scale[known])
     return Inputs(
         time=recording.time,
         command=channels["command"],

@@ -163,7 +163,7 @@ class Nominal(NominalTorque):
         unloaded = [v for v in views if not v.loaded] or views
         most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
         loaded = [
-            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment))
+            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment[v.moment != 0.0]))
             for v in views
             if v.loaded
         ]

@@ -239,6 +239,26 @@ def motion_of(recording: Recording) -> Motion:
     return found
 
 
+def test_the_steps_of_the_filter_do_not_depend_on_the_encoders_zero(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    here = practical_pair[0]
+    angle = here.channels["motor_angle"]
+    moved = [motion_of(swap(here, motor_angle=angle + turns)) for turns in (0.0, 20.0 * np.pi)]
+    assert np.array_equal(moved[0].steps, moved[1].steps)
+    assert np.mean(moved[0].steps) < np.max(moved[0].steps)
+
+
+def test_a_recording_that_hardly_moves_has_segments(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    here, still = practical_pair[0], 2_000_000
+    channels = {n: np.concatenate([v, np.full(still, v[-1])]) for n, v in here.channels.items()}
+    channels["time"] = here.period * np.arange(len(here.time) + still)
+    long = motion_of(Recording(channels=channels, bench=here.bench, averaged=here.averaged))
+    assert len(long.table) == len(motion_of(here).table)
+
+
 def drop(recording: Recording, *names: str) -> Recording:
     return replace(
         recording, channels={k: v for k, v in recording.channels.items() if k not in names}

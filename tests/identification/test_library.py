@@ -336,3 +336,18 @@ def test_a_plan_says_what_an_experiment_pins() -> None:
     assert long.half_widths["Mc"] < short.half_widths["Mc"] < 0.05
     with pytest.raises(lr.RecordingError, match="torque_noise"):
         lr.plan(TRUTH, SWING)
+    coarse = lr.Recording(time[::2], command=np.sin(time[::2]), bench=BENCH, name="coarse")
+    fine = lr.Recording(time, command=np.sin(time), bench=BENCH)
+    with pytest.raises(lr.RecordingError, match="coarse"):
+        lr.plan(TRUTH, [fine, coarse], torque_noise=0.05, joint_step=1.5e-5)
+
+
+def test_a_measured_force_is_a_load() -> None:
+    time = np.arange(0.0, 2.0, 0.001)
+    angle, force = np.sin(time), np.full(len(time), 100.0)
+    bench = lr.Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.1)
+    pressed = lr.Recording(time, angle, angle, load_force=force, bench=bench)
+    assert (pressed.stage, lr.Recording(time, angle, angle).stage) == ("loaded", "unloaded")
+    free = lr.Recording(time, angle, angle, load_force=0.0 * force, bench=bench, stage="loaded")
+    with pytest.raises(lr.RecordingError, match="contact force is zero"):
+        lr.identify([lr.Recording(time, angle, angle, bench=bench), free])

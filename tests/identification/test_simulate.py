@@ -50,6 +50,18 @@ def recording(
     return Recording(time, channels=channels, name="made", pendulum=pendulum, controller=controller)
 
 
+def test_a_supply_that_is_logged_slowly_is_interpolated() -> None:
+    supply = np.full(1001, np.nan)
+    supply[::100] = 12.0
+    duty = Controller("duty", 2.0)
+    made = recording(controller=duty, command=np.zeros(1001), supply_voltage=supply)
+    assert np.array_equal(inputs_of(made).scale, np.full(1001, 12.0))
+    with pytest.raises(RecordingError, match="supply_voltage"):
+        inputs_of(
+            recording(controller=duty, command=np.zeros(1001), supply_voltage=np.full(1001, np.nan))
+        )
+
+
 def inputs(
     time: np.ndarray, command: np.ndarray | None = None, added: np.ndarray | None = None
 ) -> Inputs:

@@ -54,6 +54,20 @@ def test_fits_with_equally_many_parameters_are_compared_by_what_they_leave() -> 
     assert preference(worse, better) == -preference(better, worse)
 
 
+@pytest.mark.parametrize(
+    ("preference", "beyond", "is_open"),
+    [(0.0, "", True), (1.7, "", False), (0.0, "gap = 3, outside", False)],
+)
+def test_a_rival_is_open_if_neither_data_nor_ranges_reject_it(preference, beyond, is_open):
+    rival = Contender("cogging", nominal_fit(honest()), preference, beyond)
+    assert rival.open is is_open
+
+
+def test_a_ripple_of_the_gear_without_a_torque_may_be_an_encoders() -> None:
+    alike = [TERM["gear_mesh_ripple"].indistinct({"with_torque": w}, ()) for w in (0.0, 1.0)]
+    assert alike == [("encoder_ripple",), ()]
+
+
 def test_one_block_of_time_prefers_no_fit() -> None:
     one = []
     for joint in (left(STOP, 1.0), left(STOP, 30.0)):

@@ -12,6 +12,7 @@ from identification.diagnosis.rows import Equation
 from identification.diagnosis.stack import view_regressors
 from identification.effects import MOTION
 from identification.effects.effect import Effect
+from identification.effects.model import CorrectedModel
 from identification.numerics.series import delayed_series
 from identification.recording import Bench, Controller, Dataset, Model, Recording
 from identification.signals import central_difference, values_at_ends
@@ -114,6 +115,23 @@ def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
     expected = np.stack([delayed_series(row, view.step, BEHIND_S) for row in prompt])
     assert np.max(np.abs(late - expected)[:, steady]) < 5e-3 * np.max(np.abs(expected))
     assert np.max(np.abs(prompt - expected)[:, steady]) > 0.02 * np.max(np.abs(expected))
+
+
+def test_the_corrected_model_moves_a_ripple_as_the_fit_does() -> None:
+    joint = nominal_fit(honest())
+    view, nominal = joint.equations[0].views[1], replace(joint.nominal, late_s=BEHIND_S)
+    own = {"torque_Nm": 0.3, "per_motor_turn": 7.0, "phase_rad": 0.4}
+    skew = {"time_skew": {"time_s": BEHIND_S}}
+    both, alone = (
+        CorrectedModel(joint.nominal.values, joint.nominal.alpha, effects)
+        for effects in (skew | {"cogging": own}, skew)
+    )
+    added = both.added_torque(view) - alone.added_torque(view)
+    shape, coefficients = TERM["cogging"].at(own, nominal)
+    fitted = np.array(coefficients) @ view_regressors(TERM["cogging"], "torque", nominal, shape)(
+        view
+    )
+    assert np.max(np.abs(np.abs(added) - np.abs(fitted))) < 1e-9
 
 
 def test_a_ripple_beside_a_late_current_leaves_far_less() -> None:
