@@ -307,9 +307,11 @@ class Servo(SpeedRemedies, Device):
         limit_places: Field of :class:`ServoLimits` to the name of the drive's parameter that stores
             the limit, or None for the objects of CiA 402.
         prepared: Whether exchanges send the commands.
+        asked: Whether reading the state sends the present command, which restarts the watchdog.
     """
 
     watch_s: float | None = None
+    asked: bool = False
     limits_taken: Set[str] = frozenset(field.name for field in fields(ServoLimits))
     limit_places: Mapping[str, str] | None = None
     prepared: bool = False

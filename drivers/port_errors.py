@@ -68,7 +68,9 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
         except OSError:
             raise
         except Exception as error:
-            found = error.args[0] if error.args else None
+            # python-can keeps the number of the operating system's error in the cause alone.
+            cause = error.__cause__
+            found = cause.errno if isinstance(cause, OSError) else next(iter(error.args), None)
             if isinstance(found, int) and found in _GONE:
                 raise UnpluggedError(words(error)) from error
             raise OSError(words(error)) from error

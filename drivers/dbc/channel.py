@@ -249,11 +249,11 @@ class DbcChannel:
             if self._pending and self._pending[0] is output:
                 del self._pending[0]
 
-    def requests(self, *, all_now: bool = False) -> Iterator[int]:
-        """Yield the identifiers of the remote frames that are due, or of all."""
+    def requests(self) -> Iterator[int]:
+        """Yield the identifiers of the remote frames that are due."""
         for slot in self._requests:
             identifier = slot.message.identifier
-            if all_now or self.cycle % self._request_every.get(identifier, 1) == 0:
+            if self.cycle % self._request_every.get(identifier, 1) == 0:
                 yield identifier | REMOTE_FLAG
 
     def stop_frame(self) -> tuple[int, bytes]:

@@ -184,6 +184,7 @@ class DbcServo(SteppedServo):
         self._status = channel.slot(wiring.status_message)
         self._command_period_s = wiring.sent[wiring.target.message].period_s
         self.watch_s = drive.watchdog_s
+        self.asked = wiring.asked
         self.limits_taken = dbc_limits.taken(wiring)
         self.limit_places = dbc_limits.places(wiring)
         link.has_watchdog = link.has_watchdog and drive.watchdog_s is not None
@@ -270,11 +271,7 @@ class DbcServo(SteppedServo):
         """Return the steps of the signals; the current limit stands in for the rating."""
         inputs, gear = self._wiring.inputs, self._drive.gear_ratio
         step_rad, effort = (
-            0.0
-            if inputs[name].signal.real
-            else abs(inputs[name].gain)
-            if name in inputs
-            else math.nan
+            0.0 if inputs[name].signal.real else abs(inputs[name].gain)
             for name in ("position", self._effort)
         )
         limit_A = self._drive.held.current_A

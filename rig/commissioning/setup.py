@@ -301,6 +301,7 @@ class Setup:
                 watched=self.devices.link.has_watchdog,
                 insistent=not self.devices.link.has_watchdog,
                 off=self.off,
+                insist=self.devices.insist,
             )
             cycle.end()
         self.recorder.event(cycle.now_ns, "power off", step=what, state=self.safe.state)

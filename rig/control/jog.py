@@ -111,6 +111,7 @@ def move(
         watched=devices.link.has_watchdog,
         insistent=not devices.link.has_watchdog,
         off=off,
+        insist=devices.insist,
     )
     if ending is Ending.DONE and not safe.verified:
         ending = Ending.FAILED

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, Final
 
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.sample import Phase, Sample
@@ -90,6 +90,10 @@ class StartingPoint:
     reset_fault: bool = False
 
 
+PREPARED: Final = frozenset({ServoState.READY, ServoState.SWITCHED_ON})
+"""States without torque from which one or two commands give power."""
+
+
 class PhaseHandlers:
     """The handlers of the phases of a run; ``own_limits`` of the drive are None until read."""
 
@@ -156,6 +160,9 @@ class PhaseHandlers:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
+        if devices.servo.state() in PREPARED:
+            # A person comes near the joint: a single command must not give power.
+            devices.servo.disable()
         seen = self.off.require(BEFORE_PROMPT).seen
         if devices.hang is None and self.own_limits is None:
             # The devices are checked before a person hangs a weight, so that no weight is hung

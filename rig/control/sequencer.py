@@ -97,6 +97,7 @@ class Sequencer:
             watched=self._devices.link.has_watchdog,
             insistent=not self._devices.link.has_watchdog,
             off=self._handlers.off,
+            insist=self._devices.insist,
         )
         units = self._cycle.units
         words = [message]

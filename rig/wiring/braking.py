@@ -92,6 +92,10 @@ an order may restart the watchdog of a drive with frames of its own.
 """
 
 
+WATCHDOGS: Final = 2.0
+"""Silence for a drive whose state is read by a command, in times of its watchdog."""
+
+
 def next_state(state: State, event: Event) -> State:
     """Return the next state by the transition table; a ValueError names an illegal move."""
     try:
@@ -212,6 +216,8 @@ class _Braking:
                 off = sent is not None and not sent.energised
                 cyclic = sent is None and self._prepared
                 patience_ns = round(UNHEARD_S * NS) if cyclic else interval_ns
+                if self._state is State.SILENT and self._servo.asked:
+                    patience_ns = round(WATCHDOGS * (self._servo.watch_s or UNHEARD_S) * NS)
                 if off or clock.now_ns() - known_ns >= patience_ns:
                     self._ask(sent, off)
                     known_ns = clock.now_ns()

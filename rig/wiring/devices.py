@@ -65,6 +65,11 @@ class Devices:
         clock = self.link.clock
         return OffProof(self.servo, clock, self.encoder, limits.speed, limits.current)
 
+    def insist(self) -> None:
+        """Leave a drive that was not proved off to its guardian, if there is one."""
+        if self.guard is not None:
+            self.guard.insist()
+
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its data, or raise a DeviceError."""
         self.servo.prepare(cycle_s)

@@ -155,9 +155,13 @@ class Guard:
             self._tell({"armed": False})
             self._armed = False
 
+    def insist(self) -> None:
+        """Leave a drive that was not proved off to the guardian, when :meth:`close` ends it."""
+        self._armed = self._process is not None
+
     def close(self) -> None:
-        """End the guardian. If :meth:`release` was not called, the guardian stops the drive now,
-        and repeats this until the stop is verified, or `rig off` takes over.
+        """End the guardian. If :meth:`release` was not called, or :meth:`insist` was, the guardian
+        stops the drive now, and repeats this until the stop is verified, or `rig off` takes over.
         """
         process = self._process
         if process is None:
@@ -185,14 +189,20 @@ class Guard:
             raise LinkError(f"{self.name} is not open: call open() first")
         descriptor = self._port.fileno()
         # The guardian has its own session, so that neither Ctrl-C nor a closed terminal ends it.
-        process = subprocess.Popen(
-            [sys.executable, "-m", "rig.wiring.guardian", *map(str, (descriptor, *self._keep))],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=(descriptor, *self._keep),
-            start_new_session=True,
-            bufsize=0,
-        )
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "rig.wiring.guardian", *map(str, (descriptor, *self._keep))],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=(descriptor, *self._keep),
+                start_new_session=True,
+                bufsize=0,
+            )
+        except OSError as error:
+            raise LinkError(
+                f"the guardian of {self.name} cannot be started ({error.strerror}); close other "
+                "programs on this computer, then run again"
+            ) from error
         self._process = process
         os.set_blocking(_pipe(process.stdin).fileno(), False)
         self._tell({"drive": self._drive})

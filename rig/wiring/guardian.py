@@ -41,7 +41,7 @@ from typing import Any, Final
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, Clock, RealClock
 from drivers.epos.link import EposSerialLink
-from drivers.errors import LinkError
+from drivers.errors import DeviceError
 from drivers.interfaces import Servo
 from drivers.serial_port import BytePort, InheritedPort, PySerialPort
 from drivers.units import ServoScales
@@ -155,7 +155,7 @@ def stop(
         attempts += 1
         try:
             reach()
-        except LinkError as error:
+        except DeviceError as error:
             safe = SafeState(False, "unknown", (str(error),), watched)
         else:
             safe = make_safe(

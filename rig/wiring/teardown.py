@@ -46,8 +46,9 @@ class SafeState:
             seen = seen_words(self.current_A, self.motion_rad_s, self.joint_read)
             off = f"the drive is de-energised (read back: {self.state}){seen}"
             return f"{self.cut}; {off}" if self.cut else off
+        cut = (self.cut,) if self.cut else ()
         if self.doubt:
-            words = "; ".join((self.doubt, *self.problems))
+            words = "; ".join((*cut, self.doubt, *self.problems))
             return f"it could NOT be verified that the drive is de-energised: {words}; {HANDS_OFF}"
         by_itself = (
             "its own watchdog takes the power off; switch the main supply off before "
@@ -60,7 +61,7 @@ class SafeState:
         )
         return (
             "it could NOT be verified that the drive is de-energised "
-            f"(state {self.state}; {'; '.join(self.problems)}); {by_itself}"
+            f"(state {self.state}; {'; '.join((*cut, *self.problems))}); {by_itself}"
         )
 
     def record(self) -> dict[str, Any]:
@@ -99,6 +100,7 @@ def make_safe(
     watched: bool = True,
     insistent: bool = False,
     off: OffProof | None = None,
+    insist: Callable[[], object] = lambda: None,
 ) -> SafeState:
     """Brake if ``brake``, take the power off and prove that it is off. The function never raises an
     error.
@@ -120,6 +122,7 @@ def make_safe(
         insistent: Whether to make more attempts to take the power off, with cycles after each
             command without answer: the process data of these cycles repeat the command.
         off: Observer of the drive; None to observe the motor alone, without the limits of a bench.
+        insist: Called if the drive is not proved off: a guardian goes on.
 
     Returns:
         The final state of the drive; unexpected exceptions are in ``unforeseen``.
@@ -145,6 +148,8 @@ def make_safe(
             break
     if proof is None or state is None or state.energised:
         proof = Proof(state, doubt="its state could not be read")
+    if not proof.off:
+        steps.attempt(insist)
     return observed(proof, steps, watched)
 
 

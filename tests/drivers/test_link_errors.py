@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -34,7 +35,7 @@ from drivers.units import EncoderScales
 
 from .dbc_host import DRIVE, MAP
 from .host import SCALES
-from .library_errors import ERRORS, name
+from .library_errors import ERRORS, name, of_a_socket
 from .serial_host import GATE
 
 Make = Callable[[], BaseException]
@@ -163,6 +164,25 @@ def amt21(make: Make, good: int = 0) -> Bench:
 
 LINKS = (canopen, dbc, epos, amt21)
 SERVO_LINKS = (canopen, dbc, epos)
+
+
+def converted(make: Callable[[], Exception]) -> OSError:
+    """Return an error as a port raises it."""
+
+    @os_errors
+    def fail() -> None:
+        raise make()
+
+    try:
+        fail()
+    except OSError as error:
+        return error
+    raise AssertionError("no error")
+
+
+def test_a_socket_that_lost_its_adapter_is_gone() -> None:
+    numbers = (errno.ENODEV, errno.ENXIO, errno.ENOBUFS)
+    assert [is_gone(converted(lambda n=n: of_a_socket(n))) for n in numbers] == [True, True, False]
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)

@@ -17,7 +17,8 @@ def stopped_by_ramp(
 class FakeDrive:
     """Passes its verbs to :meth:`do`, which a test may let note them, or fail."""
 
-    prepared = False
+    prepared = asked = False
+    watch_s: float | None = None
     power = ServoState.SWITCH_ON_DISABLED
     angle = current = 0.0
 

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.clock import NS
@@ -165,6 +166,22 @@ def test_a_drive_that_goes_on_operating_is_given_up_after_its_time(answers, watc
     assert UNHEARD_S < cycles < 3 * UNHEARD_S if watched else cycles > REACTION_S
     late_s = servo.clock.now_ns() / NS - REACTION_S
     assert CYCLE_NS / NS <= late_s <= 2 * CYCLE_NS / NS
+
+
+def test_a_drive_whose_state_is_read_by_a_command_is_left_in_silence_for_its_watchdog() -> None:
+    servo, asked_s = Servo({}), list[float]()
+    servo.quick_stop = lambda **_: servo.order.append("quick_stop")  # type: ignore
+    servo.sent, servo.prepared = ON, True
+    servo.asked, servo.watch_s = True, 0.1
+    plain = servo.state
+
+    def state() -> ServoState:
+        asked_s.append(servo.clock.now_ns() / NS)
+        return plain()
+
+    servo.state = state  # type: ignore
+    braked(servo)
+    assert max(np.diff([0.0, *asked_s])) >= 0.2
 
 
 def test_the_reaction_to_a_fault_is_waited_for() -> None:

@@ -409,6 +409,28 @@ def test_what_is_left_to_the_guardian_is_told(guard: Guard, guardian: Guardian) 
     assert guardian.heard() == b'{"left": true}\n'
 
 
+def test_a_drive_that_was_not_proved_off_is_left_to_the_guardian(guard, guardian):
+    """Although its state was off, so that the guardian stood down."""
+    guard.insist()
+    guard.close()
+    assert guardian.started == []
+    guard.arm(0.2)
+    guard.release()
+    guardian.heard()
+    guard.insist()
+    guard.close()
+    assert guardian.heard() == b'{"left": true}\n'
+
+
+def test_a_guardian_that_cannot_be_started_keeps_the_drive_off(guard, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(subprocess, "Popen", full)
+    with pytest.raises(LinkError, match="cannot be started"):
+        guard.arm(0.2)
+
+
 def test_a_guardian_that_does_not_start_keeps_the_drive_off(guard, guardian, time):
     guardian.stdout.read(len(READY))
     with pytest.raises(LinkError) as caught:

@@ -14,7 +14,7 @@ import pytest
 
 import rig.wiring.guardian as guardian
 from drivers.clock import NS, SimulatedClock
-from drivers.errors import LinkError
+from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.faults import LineFaults
 from drivers.mock.power_state import State
@@ -243,9 +243,10 @@ def test_it_tries_five_times_a_second_as_long_as_it_takes() -> None:
     assert {failure.safe.state for failure in failures} == {"unknown"}
 
 
-def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
+@pytest.mark.parametrize("kind", [LinkError, ConfigurationError])
+def test_a_link_that_cannot_be_opened_is_opened_again_and_again(kind: type[DeviceError]) -> None:
     servo: Any = Stuck()
-    failures = [LinkError("no such port")] * 3
+    failures = [kind("no such port")] * 3
 
     def reach() -> None:
         if failures:

@@ -134,6 +134,14 @@ def test_whatever_a_verb_raises_anywhere(runner, fake_bench, verb, count, error)
     assert_safe_and_readable(runner, bench, folder, outcome)
 
 
+@pytest.mark.parametrize("state", [ServoState.READY, ServoState.SWITCHED_ON])
+def test_no_single_command_gives_power_while_a_person_hangs_a_weight(runner, fake_bench, state):
+    bench = fake_bench()
+    bench.drive_state = state
+    assert runner(bench)[1].ending is Ending.DONE
+    assert bench.order.index("disable") < bench.order.index("prepare")
+
+
 def test_the_operator_gives_up_at_the_second_prompt(runner: Any, fake_bench: Any) -> None:
     class GivesUp(AutomaticOperator):
         def confirm_weight(self, stage: str, weight_kg: float) -> float:
