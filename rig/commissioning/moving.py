@@ -52,7 +52,7 @@ def hold(setup: Setup, step: StepRecord) -> None:
     fallen = math.degrees(before.reading() - at)
     step.measure("motion without power", fallen, "deg")
     for moved, when in ((held, "held under power"), (fallen, "without power")):
-        if abs(moved) > DRIFT_DEG:
+        if not abs(moved) <= DRIFT_DEG:
             raise WrongError(
                 f"the joint moved by {moved:.3g} deg {when}; it may move by at most "
                 f"{DRIFT_DEG:g} deg: check gains, brake and balance"

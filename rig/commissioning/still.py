@@ -112,6 +112,8 @@ def zero(setup: Setup, step: StepRecord) -> None:
     changes = []
     for section, _, reading in both[1:] if later else both:
         offset = getattr(getattr(bench, section), "offset_deg", 0.0)
+        if math.isnan(reading):
+            raise WrongError(f"the angle of {section} could not be read: check its connection")
         if abs(true - reading) > ZERO_TOLERANCE_DEG:
             wanted = float(f"{offset + true - reading:.4f}")
             changes.append(Change(section, "offset_deg", wanted))

@@ -281,7 +281,7 @@ def _check_known_load(
         if not linear and hoisted.radius is None:
             yield ("hoisted",), "no `radius` of the drum or pulley; state the radius, m"
     amperes = _torque_unit(recording, bench) == "amperes"
-    for name in ("hoisted", "constant_torque"):
+    for name in ("gravity", "hoisted", "constant_torque"):
         if amperes and getattr(recording, name):
             yield (
                 (name,),

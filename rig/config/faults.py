@@ -226,6 +226,16 @@ class FaultRow(Schema):
         kind = self.kind
         if self.value is not None and not kind.unit:
             raise ValueError(f"{self.target} {self.fault} takes no value; remove the value")
+        if "count" in self.model_fields_set and not kind.counted:
+            raise ValueError(f"{self.target} {self.fault} takes no count; remove 'count'")
+        if self.stage is not None and self.phase is None:
+            raise ValueError("'stage' needs 'phase'; remove 'stage', or state the phase")
+        unsigned = kind.unit in ("bit", "byte", "code")
+        if unsigned and self.value is not None and not 0 <= self.value <= 0xFFFF:
+            raise ValueError(
+                f"{self.target} {self.fault} needs a value of 0 to 65535 ({kind.unit}), found "
+                f"{self.value:g}"
+            )
         if kind.integer and self.value is not None and self.value != int(self.value):
             raise ValueError(
                 f"{self.target} {self.fault} needs a whole number ({kind.unit}), found "

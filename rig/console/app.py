@@ -409,10 +409,18 @@ class Console:
             if not isinstance(page_key, str) or type(number) is not int:
                 return _refused(400, "page must be a text, number a whole number")
             page = self._hub.controls.page(page_key)
+            stop = message.get("command") == Command.STOP.value
             if page is not None and self._hub.controls.replayed(page, number):
-                return _refused(409, "this command was already received")
+                if stop and number == page.stop[0]:
+                    return _json(page.stop[1])
+                # A STOP that the run did not take is sent to it again.
+                if not stop:
+                    return _refused(409, "this command was already received")
             try:
-                return _json(await act(page, message))
+                answer = await act(page, message)
+                if stop and page is not None:
+                    page.stop = number, answer
+                return _json(answer)
             except Refusal as error:
                 return _json({"words": str(error), **error.details}, 409)
             except StartError as error:

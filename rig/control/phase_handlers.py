@@ -160,10 +160,12 @@ class PhaseHandlers:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
-        if devices.servo.state() in PREPARED:
+        proof = self.off.require(BEFORE_PROMPT)
+        if proof.state in PREPARED:
             # A person comes near the joint: a single command must not give power.
             devices.servo.disable()
-        seen = self.off.require(BEFORE_PROMPT).seen
+            proof = self.off.require(BEFORE_PROMPT)
+        seen = proof.seen
         if devices.hang is None and self.own_limits is None:
             # The devices are checked before a person hangs a weight, so that no weight is hung
             # for a run that does not start.

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from rig.common.errors import InputError
 from rig.config.sequence import Array, FirstPass, StageSection, excitation
 from rig.planning.limits import Limits
 
+LEAST_TARGETS = 2  # least number of control cycles of a first pass
 LONGEST_RAMP_SHARE = 0.25  # longest fade-in or fade-out, as a share of the duration of the pass
 GROWTH = 2.0
 """Factor on the amplitude from pass to pass while the joint, as with soft gains, does not move."""
@@ -67,6 +69,11 @@ def _plan_pass(
             "ramp_out_s": min(section.ramp_out_s, ramp_s),
         }
     targets = excitation(section.model_copy(update=changes), cycle_s)
+    if len(targets) < LEAST_TARGETS:
+        raise InputError(
+            f"stage {section.name}: a first pass of {changes['duration_s']:.3g} s has fewer than "
+            f"{LEAST_TARGETS} control cycles; state a longer `first_pass` or ramp"
+        )
     moving = _tighter(limits, low.limit_share)
     # The angle range of the pass is that of its targets, widened by the allowed following error.
     slack = moving.following_error

@@ -14,7 +14,7 @@ import secrets
 import select
 import socket
 import stat
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -102,11 +102,18 @@ def order_of(message: Mapping[str, Any]) -> Order:
     return order
 
 
-def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
-    """Return why a command is refused, or None; ``last`` is the number of the last accepted one."""
+def objection(
+    order: Order, run: str, last: int, now_ns: int, stops: Collection[int] = ()
+) -> str | None:
+    """Return why a command is refused, or None.
+
+    ``last`` is the number of the last accepted command, ``stops`` are those of the accepted STOPs:
+    a STOP is accepted after a later command of another program, but never twice.
+    """
     if order.run != run:
         return "this command is meant for another run"
-    if order.number <= last:
+    stop = order.command is Command.STOP
+    if order.number in stops if stop else order.number <= last:
         return RECEIVED_BEFORE
     if order.number > now_ns:
         return "the number of this command is a time in the future"
@@ -221,6 +228,7 @@ class ControlSocket:
         }
         self._told: list[tuple[int, str]] = []
         self._count = self._prompts = self._last = 0
+        self._stops: set[int] = set()  # numbers of the accepted STOPs
         self._answer: str | None = None
         self._peers: dict[str, None] = {}
         self._path, self._socket = _bound(folder or socket_folders()[0])
@@ -309,9 +317,11 @@ class ControlSocket:
         except MessageError as error:
             self._send({"taken": False, "words": str(error)}, peer)
             return
-        refused = objection(order, self.run, self._last, self._clock.now_ns())
+        refused = objection(order, self.run, self._last, self._clock.now_ns(), self._stops)
         if refused is None:
-            self._last = order.number
+            self._last = max(self._last, order.number)
+            if order.command is Command.STOP:
+                self._stops.add(order.number)
             refused = self._carry_out(order)
         self._send({"to": order.number, "taken": refused is None, "words": refused or ""}, peer)
 

@@ -197,6 +197,15 @@ def test_loads_that_cannot_be_are_refused(tmp_path: Path) -> None:
             load_source(path)
 
 
+def test_a_pendulum_has_no_use_in_a_fit_in_amperes(tmp_path: Path) -> None:
+    path = campaign(tmp_path, "  - {file: a.csv, gravity: {mass: 0.457, length: 0.1}}\n")
+    head, _, rest = path.read_text().partition("bench: ")
+    text = f"{head}bench: {{}}\n{rest.partition(chr(10))[2]}".replace("torque: m", "current: m")
+    path.write_text(text)
+    with pytest.raises(InputError, match="no use in a fit in amperes"):
+        load_source(path)
+
+
 def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors(tmp_path):
     path = campaign(
         tmp_path,

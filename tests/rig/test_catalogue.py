@@ -161,7 +161,7 @@ def test_runs_are_chosen_by_what_is_known(root: Path) -> None:
         assert len(chosen(root, list_runs(root).entries, wanted)) == expected, wanted
 
 
-@pytest.mark.parametrize("day", ["2027-01-02", "20270102"])
+@pytest.mark.parametrize("day", ["2027-01-02", "20270102", "9999-12-31"])
 def test_until_a_day_holds_the_day(root: Path, day: str, capsys) -> None:
     assert status(["runs", "list", str(root), "--until", day]) == 0
     assert "2 runs" in capsys.readouterr().out

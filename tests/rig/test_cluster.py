@@ -15,6 +15,7 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
+from rig.common.provenance import sha256
 from rig.results.prove import cluster, run
 from rig.results.prove.engine import Processes, bundle
 from rig.results.prove.run import begin_from, diagnose_all, score_all
@@ -171,6 +172,10 @@ def test_neither_workers_that_never_come_nor_a_scheduler_that_ends_is_waited_for
     monkeypatch.setattr(cluster.distributed, "wait", wait)
     with pytest.raises(InputError, match=message):
         list(cluster.DaskCluster(Client(), "--scheduler x").each(abs, [1]))
+
+
+def test_the_digest_is_that_of_this_programs_code() -> None:
+    assert cluster._fingerprint()["code"] != sha256(b"")[:12]
 
 
 def test_a_worker_with_other_packages_is_refused() -> None:

@@ -72,6 +72,10 @@ def test_yaml_and_csv_say_the_same() -> None:
         ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames'"),
         ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "regular expression"),
         ("phase: hold, target: bus, fault: lost, cuont: 3", "did you mean 'count'"),
+        ("phase: hold, target: drive, fault: restart, count: 3", "takes no count"),
+        ("time_s: 1, stage: a, target: bus, fault: lost", "'stage' needs 'phase'"),
+        ("phase: hold, target: encoder, fault: bit, value: -1", "0 to 65535"),
+        ("phase: hold, target: drive, fault: fault, value: 70000", "0 to 65535"),
     ],
 )
 def test_every_error_is_at_its_place(row: str, words: str) -> None:

@@ -69,7 +69,7 @@ def diagnose(
         from rig.results.diagnose.own_effects import read_effects
         from rig.results.document import text
 
-        seen = observe_source(source, seed, bandwidth, read_effects(effects_file))
+        seen = observe_source(source, seed, bandwidth, read_effects(effects_file), partial)
         write_asked(json_file, seen.record())
         click.echo(text(observable_document(source, seen)))
         return

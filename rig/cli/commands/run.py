@@ -123,6 +123,10 @@ def run(
     """
     # Everything that can be checked before any motion is checked first.
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    if junit_file is not None and not limits_before(acceptance, sequence_file.value)[0]:
+        raise click.UsageError(
+            "--junit needs acceptance limits: give --acceptance, or state them in the sequence"
+        )
     click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
     feedforward = (
@@ -172,7 +176,7 @@ def run(
     status = _carry_out(
         inputs, plan, path, yes, patience_s, in_console, wait_s, json_file, injector
     )
-    return accept_at_the_end(path, junit_file) if status == DONE else status
+    return _accepted(status, path, junit_file)
 
 
 @click.command("resume")
@@ -255,7 +259,16 @@ def resume(
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     patience_s = resumed.bench.value.prompt_timeout_s
     status = _carry_out(inputs, plan, run, yes, patience_s, in_console, wait_s, json_file)
-    return accept_at_the_end(run, junit_file) if status == DONE else status
+    return _accepted(status, run, junit_file)
+
+
+def _accepted(status: int, path: Path, junit_file: Path | None) -> int:
+    """Judge a completed run; return the exit status."""
+    if status == DONE:
+        return accept_at_the_end(path, junit_file)
+    if junit_file is not None:
+        click.echo(f"the run was not completed, so it is not judged: no {junit_file}", err=True)
+    return status
 
 
 def _carry_out(

@@ -43,7 +43,7 @@ class _Day(_Time):
             found = datetime.fromisoformat(value)
         except ValueError:
             self.fail(f"{value!r} is no date; write 2026-11-27 or 2026-11-27T08:30", param, ctx)
-        with suppress(ValueError):
+        with suppress(ValueError, OverflowError):
             if self._last and date.fromisoformat(value):
                 found += timedelta(days=1)
         return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)

@@ -84,17 +84,19 @@ export class Link {
   }
 
   // Returns {ok, words, ...}; never throws. A STOP whose connection broke is sent again: the console
-  // may have closed the connection because of too many others, and a second STOP changes nothing.
+  // may have closed the connection because of too many others. It keeps its number, because a
+  // second STOP takes the power off without a ramp.
   async post(path, content) {
-    let answer = await this.postOnce(path, content);
+    this.number = Math.max(this.number + 1, Date.now());
+    const numbered = { page: this.page, number: this.number, ...content };
+    let answer = await this.postOnce(path, numbered);
     for (let again = 0; answer.broken && content.command === "stop" && again < STOPS; again += 1) {
-      answer = await this.postOnce(path, content);
+      answer = await this.postOnce(path, numbered);
     }
     return answer;
   }
 
   async postOnce(path, content) {
-    this.number = Math.max(this.number + 1, Date.now());
     const waiting = new AbortController();
     const timer = setTimeout(() => waiting.abort(), LONG.includes(path) ? LONG_MS : REPLY_MS);
     try {
@@ -104,7 +106,7 @@ export class Link {
           "Content-Type": "application/json",
           Authorization: `Bearer ${this.token}`,
         },
-        body: JSON.stringify({ page: this.page, number: this.number, ...content }),
+        body: JSON.stringify(content),
         signal: waiting.signal,
         cache: "no-store",
         credentials: "omit",

@@ -351,7 +351,11 @@ class Seen:
 
 
 def observe_source(
-    source: Path, seed: int, bandwidth_Hz: float | None = None, own: OwnFile = NO_FILE
+    source: Path,
+    seed: int,
+    bandwidth_Hz: float | None = None,
+    own: OwnFile = NO_FILE,
+    partial: bool = False,
 ) -> Seen:
     """Return which effects the recordings of a run folder or campaign file can show.
 
@@ -359,7 +363,7 @@ def observe_source(
         InputError: The source cannot be read, or its recordings do not determine the nominal model.
     """
     started = time.perf_counter()
-    dataset = load_source(source)
+    dataset = load_source(source, partial=partial)
     with named_errors(source):
         effects = observable_effects(dataset, bandwidth_Hz, own.effects)
     seconds = time.perf_counter() - started

@@ -165,7 +165,7 @@ def _fingerprint() -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
-    root = Path(__file__).parents[4]
+    root = Path(__file__).parents[3]
     files = sorted(f for own in OWN for f in (root / own).rglob("*.py"))
     code = b"".join(f.relative_to(root).as_posix().encode() + f.read_bytes() for f in files)
     return found | {"code": sha256(code)[:12]}

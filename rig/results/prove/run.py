@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from glob import glob
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
@@ -445,5 +446,16 @@ def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
 
 def _recordings(campaign: Path) -> list[str]:
     """Return the names of a campaign's recordings in the form that a diagnosis uses."""
-    sections = load_campaign(campaign).value.recordings
-    return [Path(file.removesuffix(".gz")).stem for each in sections for file in each.patterns]
+    sections, folder = load_campaign(campaign).value.recordings, campaign.parent
+    files = [
+        file
+        for each in sections
+        for pattern in each.patterns
+        # As in a diagnosis: a name that exists is no pattern.
+        for file in (
+            [pattern]
+            if is_file(folder / pattern)
+            else sorted(glob(pattern, root_dir=folder, recursive=True))
+        )
+    ]
+    return [Path(file.removesuffix(".gz")).stem for file in files]

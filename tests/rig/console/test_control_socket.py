@@ -96,6 +96,14 @@ def test_a_replayed_stop_is_no_second_press(bound: Bound) -> None:
     assert bound.stop.presses == 2
 
 
+def test_a_stop_is_taken_after_a_later_command_but_once(bound: Bound) -> None:
+    early = bound.peer.order("stop")
+    assert bound.sent(bound.peer.order("pause"))["taken"]
+    assert bound.sent(early)["taken"]
+    assert not bound.sent(early)["taken"]
+    assert bound.stop.presses_now() == 1
+
+
 def test_pause_is_asked_for_and_taken_back(bound: Bound) -> None:
     assert bound.sent(bound.peer.order("pause"))["taken"]
     assert bound.sent(bound.peer.order("pause"))["taken"]
