@@ -298,7 +298,7 @@ def order(**changed: Any) -> Order:
     ],
 )
 def test_what_is_refused(changed: dict[str, Any], last: int, words: str | None) -> None:
-    found = objection(order(**changed), "r", last, NOW)
+    found = objection(order(**changed), "r", last, NOW, {last})
     assert found is None if words is None else found is not None and words in found
 
 
