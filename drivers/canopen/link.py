@@ -506,7 +506,7 @@ class CanopenNode:
                 f"(last heartbeat: {state})"
             )
         # What the device has reported before, such as a fault, is over or shown by its state.
-        self._wire.forget(self.node_id, faults=True)
+        self._wire.forget(self.node_id)
         self.monitored = True
 
     def _started(self, timeout_s: float) -> bool:
