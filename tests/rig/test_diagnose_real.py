@@ -165,9 +165,7 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
 @pytest.mark.parametrize(
     ("mass", "length"),
     [
-        # The fitted recordings prefer the weight to presliding by 2.0 standard errors, those set
-        # aside presliding by 1.9: it stays open.
-        pytest.param(259, 50, marks=[pytest.mark.proof, pytest.mark.xfail(strict=True)]),
+        pytest.param(259, 50, marks=pytest.mark.proof),
         (259, 70),
         (259, 100),
         pytest.param(457, 50, marks=pytest.mark.proof),
