@@ -114,17 +114,17 @@ def _penalty(chosen: Joint, rival: Joint) -> float:
 
 
 def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:
-    """Return the difference of the whitened squares of two fits, and its standard error; zero if
-    one block of time does not show it.
+    """Return the difference of the whitened squares of two fits, and its standard error, which is 0
+    if there is only one block of time, because one block shows no scatter.
     """
     stack = chosen.stack
     loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
     white = all(e.white for e in chosen.equations)
-    if len(loss) < 2:
-        return float(np.sum(loss)), 0.0
     if white and float(np.mean(chosen.residual**2)) <= RULES.tested_from:
         # White noise is left, so that the variance is known and need not be estimated from blocks.
         return float(np.sum(loss)), 2.0 * float(np.linalg.norm(rival.residual - chosen.residual))
+    if len(loss) < 2:
+        return float(np.sum(loss)), 0.0
     return float(np.sum(loss)), float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
 
 

@@ -390,16 +390,18 @@ def _with_rivals_judged(
 
 
 def _worse_aside(case: _Case, joint: Joint, name: str, other: Joint, rival: str) -> float:
-    """Return by how much the error of a rival's fit on the recordings set aside is larger, in
-    standard errors; 0 if they do not compare the two.
+    """Return by how many standard errors the rival's fit is worse than ``joint`` on the recordings
+    set aside; 0 if these recordings cannot compare the two fits.
     """
     seen, there = _seen_aside(case, joint, name), _seen_aside(case, other, rival)
+    if seen is None or there is None:
+        return 0.0
     own, its = (
         next(e.term for e in j.effects if e.term.name == n)
         for j, n in ((joint, name), (other, rival))
     )
     # The torque during crossings has already decided between a gap and a loop.
-    if seen is None or there is None or distinguished_by_crossings(own, its):
+    if distinguished_by_crossings(own, its):
         return 0.0
     if _others(other, rival) != _others(joint, name):
         return 0.0

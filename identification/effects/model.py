@@ -54,7 +54,7 @@ class Curve:
 
 class Response(NamedTuple):
     """What one effect adds to one equation: coefficients times the regressors ``columns`` at the
-    nonlinear parameters ``shape``; with ``late``, in the view that a time skew has moved.
+    nonlinear parameters ``shape``. If ``late``, the view is shifted by the time skew.
     """
 
     effect: Effect

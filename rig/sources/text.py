@@ -70,7 +70,7 @@ def _utf8(text: str) -> str:
 
 
 def _without_mark(text: str) -> str:
-    """Return a line that was decoded as Latin-1 or UTF-8 without a byte-order mark."""
+    """Remove a byte-order mark, decoded as UTF-8 or Latin-1, from the start of a line."""
     return text.removeprefix("\ufeff").removeprefix("\xef\xbb\xbf")
 
 

@@ -93,7 +93,9 @@ an order may restart the watchdog of a drive with frames of its own.
 
 
 WATCHDOGS: Final = 2.0
-"""Silence for a drive whose state is read by a command, in times of its watchdog."""
+"""How long a drive is not asked, as a multiple of its watchdog time, if asking sends a command and
+so restarts the watchdog.
+"""
 
 
 def next_state(state: State, event: Event) -> State:
