@@ -410,17 +410,19 @@ class Console:
                 return _refused(400, "page must be a text, number a whole number")
             page = self._hub.controls.page(page_key)
             stop = message.get("command") == Command.STOP.value
-            if page is not None and self._hub.controls.replayed(page, number):
-                if stop and number == page.stop[0]:
-                    return _json(page.stop[1])
-                # A STOP that the run did not take is sent to it again.
-                if not stop:
-                    return _refused(409, "this command was already received")
+            replayed = page is not None and self._hub.controls.replayed(page, number)
+            if replayed and not stop:
+                return _refused(409, "this command was already received")
             try:
-                answer = await act(page, message)
-                if stop and page is not None:
-                    page.stop = number, answer
-                return _json(answer)
+                if page is None or not stop:
+                    return _json(await act(page, message))
+                before, sending = page.stop
+                # A second order of the same STOP would be a second press of the button, but a STOP
+                # that the run did not take is sent to it again.
+                if sending is None or before != number or _failed(sending):
+                    sending = asyncio.ensure_future(act(page, message))
+                    page.stop = number, sending
+                return _json(await asyncio.shield(sending))
             except Refusal as error:
                 return _json({"words": str(error), **error.details}, 409)
             except StartError as error:
@@ -594,6 +596,10 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
             page.window_s = float(window_s)
         if type(pixels) is int and 0 < pixels <= 4096:
             page.pixels = pixels
+
+
+def _failed(task: asyncio.Future[Any]) -> bool:
+    return task.done() and (task.cancelled() or task.exception() is not None)
 
 
 def _refused(status: int, words: str) -> Response:

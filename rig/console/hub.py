@@ -43,8 +43,8 @@ class Page:
     may: bool = False  # whether the page has the token of this start of the console
     key: str = field(default_factory=lambda: secrets.token_hex(16))
     last: int = 0
-    # Number of the last STOP that a run took, and the answer to it.
-    stop: tuple[int, Mapping[str, Any]] = (-1, {})
+    # Number of the last STOP, and the task that sends it to the runs and returns the answer.
+    stop: tuple[int, asyncio.Future[dict[str, Any]] | None] = (-1, None)
     run: str | None = None  # the run that the user has chosen on the page, or None
     kept: str | None = None  # the run that the page shows if no run was chosen
     # Whether the page keeps the run `kept` after the end of this run, because the page started or

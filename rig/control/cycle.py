@@ -280,13 +280,16 @@ class Cycle:
         if first:
             self._runaway.order(self._period_ns / NS)
         late = self._next_ns - now_ns > FIRST_WITHIN_NS and first
-        self._watched = self.count + 1
+        self._watched = self.count  # a failed exchange is no new order to brake
         if late or now_ns > self._next_ns:
             # The time since the last cycle is a pause and does not count as lateness.
             self._start_grid(now_ns)
         # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
-            sample = self._exchange(self._target, 0, braking=True)
+            try:
+                sample = self._exchange(self._target, 0, braking=True)
+            finally:
+                self._watched = self.count
             if self.units is not None:
                 self.units.take_braking(sample, self._torque)
         sent = self._servo.sent_state()

@@ -117,6 +117,7 @@ class FaultInjector:
         self._answer_after_s: float | None = None
         self._observer: Callable[[str, Phase], None] | None = None
         self._file: _DyingFile | None = None
+        self._recorder_fails = False
         self._disk = FileLimit()
         self._moved: Extremes | None = None
 
@@ -124,10 +125,9 @@ class FaultInjector:
         """Attach to a bench; returns the clock for the host."""
         self._scene = Scene(bench)
         self._clock = SteppedClock(bench.clock)
+        self._attached_ns = bench.clock.now_ns()
         self._scene.watch(self._entered)
-        for number, row in enumerate(self._rows):
-            if row.time_s is not None:
-                self._schedule(number, row.time_s)
+        self._schedule_timed(program=False)
         return self._clock
 
     def execute(
@@ -145,11 +145,22 @@ class FaultInjector:
         devices = dataclasses.replace(devices, hang=self._hang, observer=self._observe)
         operator = _Unreliable(operator, self._answer)
         try:
+            self._schedule_timed(program=True)
             return execute(
                 inputs, plan, devices, path, operator, stop, progress, self._start_recording
             )
         finally:
             self._disk.restore()
+
+    def _schedule_timed(self, program: bool) -> None:
+        """Schedule the faults of the program, or those of the bench, that have a time of their own.
+
+        Those of the program need its stop button, folder and recording.
+        """
+        for number, row in enumerate(self._rows):
+            if row.time_s is not None and ((row.target, row.fault) in ACTIONS) is program:
+                passed_s = (self._scene.clock.now_ns() - self._attached_ns) / NS
+                self._schedule(number, max(0.0, row.time_s - passed_s))
 
     def _observe(self, stage: str, phase: Phase) -> None:
         if self._observer is not None:
@@ -169,6 +180,7 @@ class FaultInjector:
 
     def _start_recording(self, path: Path) -> Recorder:
         self._file = _DyingFile(path, "xb")
+        self._file.dead = self._recorder_fails
         return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
@@ -273,6 +285,7 @@ class FaultInjector:
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
 
     def _break_recorder(self, _: FaultRow) -> None:
+        self._recorder_fails = True
         if self._file is not None:
             self._file.dead = True
 

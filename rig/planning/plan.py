@@ -276,6 +276,16 @@ def _motion_objections(
                 "deg; reduce amplitude or travel, or move center_deg",
                 math.degrees(extreme),
             )
+    if section.flow is not None:
+        for key in ("angle_min_deg", "angle_max_deg"):
+            angle: float = getattr(section.flow.controller, key)
+            if not limits.angle_min <= math.radians(angle) <= limits.angle_max:
+                text = (
+                    "the controller may command this angle, outside "
+                    f"{math.degrees(limits.angle_min):.4g} to "
+                    f"{math.degrees(limits.angle_max):.4g} deg; set it within the limits"
+                )
+                yield ("flow", "controller", key), text, angle
     if stage.peak_speed_rad_s > limits.speed:
         yield (
             pace,

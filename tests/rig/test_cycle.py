@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import SimulatedClock, Suspension
+from drivers.errors import LinkError
 from drivers.interfaces import EncoderSample, Lacks, PressureSample, RawFrame, ServoSample
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
@@ -16,6 +17,7 @@ from rig.control.safety import Check, Trip
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
+from rig.wiring.runaway import Runaway
 
 PERIOD_NS = 1_000_000
 ANSWER_NS = 400_000
@@ -348,6 +350,40 @@ def test_watching_commands_nothing_and_judges_nothing() -> None:
         (0.2, 0, 99.0)
     ] * 2
     assert cycle.timing.lateness.worst_ns == 0
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_failed_exchange_is_no_new_order_to_brake(
+    monkeypatch: pytest.MonkeyPatch, full: bool
+) -> None:
+    """The speeds stay compared with those of the order, whatever fails while the drive brakes."""
+    bench = Bench()
+    cycle = begun(bench)
+    ordered: list[float] = []
+    order = Runaway.order
+
+    def counted(self: Runaway, cycle_s: float) -> None:
+        ordered.append(cycle_s)
+        order(self, cycle_s)
+
+    monkeypatch.setattr(Runaway, "order", counted)
+
+    def fail() -> None:
+        if full:
+            bench.full = True
+        else:
+            raise LinkError("no answer")
+
+    cycle.follow([0.1] * 3, 1, "empty")
+    for more in (2, 3):
+        bench.actions[len(bench.exchanged) + more] = fail
+    failed = 0
+    for _ in range(6):
+        try:
+            cycle.watch()
+        except LinkError:
+            failed += 1
+    assert (failed, len(ordered)) == (0 if full else 2, 1)
 
 
 @pytest.mark.parametrize(

@@ -177,6 +177,28 @@ def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> 
     assert "row 3: the fault was never triggered" in told
 
 
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        ("target: operator, fault: stop", 3),
+        ("target: operator, fault: weight_removed, value: 0", 0),
+        ("target: bus, fault: lost, count: 1", 0),
+    ],
+)
+def test_a_fault_at_the_first_moment_meets_a_run(fault: str, code: int) -> None:
+    found, (finding,) = run(f"time_s: 0, {fault}")
+    assert found == code
+    assert finding["applied_s"] is not None
+
+
+def test_a_recording_that_fails_at_the_first_moment_energises_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(FileNotFoundError):
+        run("time_s: 0, target: host, fault: recorder_fails")
+    assert "nothing was energised" in capsys.readouterr().err
+
+
 def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]

@@ -121,6 +121,7 @@ def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
 
 
 CONTROLLER = "ramp_s: 0.2, controller: {angle_min_deg: 31}}"
+WIDE = "ramp_s: 0.2, controller: {angle_max_deg: 89}}"
 
 
 @pytest.mark.parametrize(
@@ -130,6 +131,7 @@ CONTROLLER = "ramp_s: 0.2, controller: {angle_min_deg: 31}}"
         ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "flow is loaded and"),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
         ("ramp_s: 0.2}", CONTROLLER, "angle_min_deg 31"),
+        ("ramp_s: 0.2}", WIDE, "flow.controller.angle_max_deg: the controller may command"),
         ("flow_kg_s: 1.2", "flow_kg_s: 0.5", "flow_kg_s: outside 0.7526 to 2.159 kg/s"),
         ("  pressure_MPa: 6\n", "", "`pressure` needs limits.pressure_MPa"),
         ("pressure_MPa: 6", "pressure_MPa: 11", "at most pressure.range_MPa 10"),

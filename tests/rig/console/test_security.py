@@ -3,7 +3,7 @@
 import asyncio
 import json
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,7 +22,9 @@ from wsproto.events import (
 )
 
 from rig.cli.entry import STOPPED
-from rig.console.gate import MOST_OPEN, MOST_PAGES, MOST_READERS, YOUNG_SHARE, bounded
+from rig.console.app import Console
+from rig.console.gate import MOST_OPEN, MOST_PAGES, MOST_READERS, YOUNG_SHARE, Token, bounded
+from rig.console.hub import Controls, Refusal
 
 from .processes import Served, place, served, wait_until
 
@@ -380,6 +382,46 @@ def test_a_run_takes_a_stop_once(console: Served, page: Page) -> None:
     (record,) = where.records()
     assert (record["state"], record["de_energised"]) == ("stopped", True)
     assert "STOP by the console, page" in record["message"]
+
+
+def test_a_stop_sent_again_while_it_is_carried_out_is_one_press() -> None:
+    async def pressing() -> tuple[list[int], int]:
+        hub = SimpleNamespace(controls=Controls())
+        page, token = hub.controls.open(), Token()
+        go, taken = asyncio.Event(), 0
+
+        async def act(*_: object) -> dict[str, Any]:
+            nonlocal taken
+            taken += 1
+            await go.wait()
+            if taken == 1:
+                raise Refusal("not taken")
+            return {"words": "taken"}
+
+        async def body() -> AsyncIterator[bytes]:
+            yield json.dumps({"page": page.key, "number": 7, "command": "stop"}).encode()
+
+        def press() -> asyncio.Task[Any]:
+            headers = {
+                "authorization": f"Bearer {token.text}",
+                "content-type": "application/json",
+            }
+            request = SimpleNamespace(headers=headers, stream=body)
+            return asyncio.ensure_future(endpoint(request))
+
+        me = SimpleNamespace(_hub=hub, _token=token)
+        endpoint: Any = Console._posted(me, act)  # type: ignore[arg-type]
+        answers = []
+        # A run that did not take it gets it again.
+        for _ in range(2):
+            pressed = [press() for _ in range(3)]
+            await asyncio.sleep(0)
+            await asyncio.sleep(0)
+            go.set()
+            answers += [answer.status_code for answer in await asyncio.gather(*pressed)]
+        return answers, taken
+
+    assert asyncio.run(pressing()) == ([409] * 3 + [200] * 3, 2)
 
 
 def test_stop_reaches_a_jog(console: Served, page: Page) -> None:
