@@ -149,12 +149,15 @@ def weigh(
         outside = 1.0
     elif named and (found.p_after <= RULES.level or little_unseen(found)):
         outside = 1.0 - RULES.incomplete_confidence
-    fitted = [_Fitted(found.final if named else base)]
+    identified = found.final if named else base
+    fitted = [_Fitted(identified)]
     if named:
         fitted += _in_place_of(found, known, wanted)
-    else:
+    if wanted:
         tried = (fitted_with(base, base, known[n]) for n in wanted if n in known)
         fitted += [_Fitted(joint) for joint in tried if joint is not None]
+        once = {frozenset(f.names): f for f in reversed(fitted) if {*f.names} <= {*wanted}}
+        fitted = [*once.values()][::-1] or [_Fitted(base)]
     best = fitted[0].joint
     for one in fitted:
         judged = one.known is None and not one.beyond
@@ -164,14 +167,11 @@ def weigh(
     for one in fitted:
         # What no row decides is known relative to the identified effects.
         behind = (
-            level(best, one.joint)
-            if one.known is None
-            else one.known + level(best, fitted[0].joint)
+            level(best, one.joint) if one.known is None else one.known + level(best, identified)
         )
-        if not wanted or {*one.names} <= {*wanted}:
-            weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
-            hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))
-    if named:
+        weight = 1.0 if one.joint is best else _weight(behind, one.beyond)
+        hypotheses.append(Hypothesis(one.names, one.joint, behind, weight, one.beyond))
+    if named and best is not base:
         hypotheses.append(Hypothesis((), base, math.inf, max(found.p_value, 1e-6)))
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         hypotheses = [replace(h, weight=h.weight * OUTSIDE_SHARE) for h in hypotheses]

@@ -212,6 +212,8 @@ def commission(
         wrong = _session(document, connect, setup_of, record_in, result)
         if wrong is None or not wrong.changes or result.ending is not Ending.TRIPPED:
             break
+        if result.safe is not None and not result.safe.verified:
+            break  # nothing is asked while the drive may be under power
         changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
         if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
             result.words += "; this value was already corrected once: check the machine itself"
@@ -224,7 +226,11 @@ def commission(
             result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
             break
         text = patched(result.text, changes)
-        document = bench_from_text(text, document.path)
+        try:
+            document = bench_from_text(text, document.path)
+        except InputError as error:
+            result.words += f"; the bench file cannot have {shown}: {error}"
+            break
         result.text = text
         result.changes += changes
         result.ending, result.words = Ending.DONE, ""
@@ -254,8 +260,16 @@ def _session(
             finally:
                 setup.give_back()
                 result.safe = setup.safe or result.safe
+                if setup.safe is not None and not setup.safe.verified:
+                    setup.interview.tell(setup.safe.message)
         finally:
-            recorder.close()
+            try:
+                recorder.close()
+            except StorageError as error:
+                # Protocol and state of the drive are still reported.
+                result.words = f"{result.words}; {error}".removeprefix("; ")
+                if result.ending is Ending.DONE:
+                    result.ending = Ending.FAILED
     return wrong
 
 

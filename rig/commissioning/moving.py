@@ -17,7 +17,7 @@ from rig.control.motion_proof import RATIO_TOLERANCE, MotionWitness
 from rig.control.safety import Check
 from rig.planning.predicted_load import breakaway_speed, friction_model
 from rig.runs.run import bench_constants
-from rig.wiring.braking import brake
+from rig.wiring.braking import BRAKING_TIMEOUT_S, brake
 from rig.wiring.off import Steps
 
 HOLD_S: Final = 0.5
@@ -32,6 +32,9 @@ LARGE_DEG: Final = 5.0
 GROWTH: Final = 2.0
 SLOW_DEG_S: Final = 1.0
 MARGIN: Final = 1.2  # ratio of a limit of the speed that would do to the predicted speed
+STAYS: Final = 5  # least value of 605Ah with which a drive keeps its state after the ramp
+RAMPS: Final = 3.0  # longest time of a quick stop, in units of the time by its deceleration
+ANSWERS: Final = 4.0  # longest time until its end is known, in units of the time of one answer
 LARGE_TOLERANCE: Final = 0.02
 """Relative difference of the encoders' travels that is allowed in the large move."""
 
@@ -155,16 +158,20 @@ def large_move(setup: Setup, step: StepRecord) -> None:
 
 def stop(setup: Setup, step: StepRecord) -> None:
     """Stop the drive in the middle of a slow move; raise a WrongError if it does not stop."""
-    encoder, cycle = setup.devices.encoder, setup.cycle
+    encoder, cycle, clock = setup.devices.encoder, setup.cycle, setup.devices.link.clock
+    servo, cycle_s = setup.devices.servo, setup.bench.cycle_s
     speed = math.radians(_fastest_deg_s(setup))
+    asked_ns = clock.now_ns()
+    servo.state()
+    answer_s = (clock.now_ns() - asked_ns) / NS
     with setup.power("stop") as here:
         end = here + _way(setup, here, LARGE_DEG)
-        step_rad = math.copysign(speed * setup.bench.cycle_s, end - here)
+        step_rad = math.copysign(speed * cycle_s, end - here)
         cycles = round(0.5 * abs(end - here) / abs(step_rad))
         cycle.follow([here + step_rad * n for n in range(1, cycles)], 0, "stop")
-        began, at = setup.devices.link.clock.now_ns(), encoder.sample().angle_rad
+        began, at = clock.now_ns(), encoder.sample().angle_rad
         state = _brake(setup, step)
-        took_s = (setup.devices.link.clock.now_ns() - began) / NS
+        took_s = (clock.now_ns() - began) / NS
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
         raise WrongError(
@@ -176,10 +183,24 @@ def stop(setup: Setup, step: StepRecord) -> None:
     step.measure("state", state.value)
     # Upper bound: constant speed for twice the time of the stop, plus the drift of a joint at rest.
     allowed = 2.0 * math.degrees(speed) * max(took_s, 0.05) + DRIFT_DEG
-    if way > allowed:
+    if not way <= allowed:
         raise WrongError(
             f"after the stop was commanded the joint moved by {way:.3g} deg, limit {allowed:.3g} "
             "deg; check 605Ah and 6085h"
+        )
+    promised = servo.promised_deceleration()
+    if state is ServoState.QUICK_STOP_ACTIVE:
+        # A drive that stays in this state after its ramp must be told from one that still brakes.
+        stays = setup.bench.servo.quick_stop_option >= STAYS
+        longest_s = math.inf if stays else BRAKING_TIMEOUT_S
+    else:
+        ramp_s = RAMPS * speed / promised if promised > 0.0 else BRAKING_TIMEOUT_S
+        longest_s = ramp_s + 5.0 * cycle_s + ANSWERS * answer_s + 0.05
+    if not took_s < longest_s:
+        raise WrongError(
+            f"the quick stop took {took_s:.3g} s from {math.degrees(speed):.3g} deg/s, limit "
+            f"{longest_s:.3g} s by the deceleration that the drive promises; check 6085h and its "
+            "unit"
         )
     step.words = "the drive stops and is off"
 

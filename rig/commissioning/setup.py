@@ -104,9 +104,14 @@ class TypedInterview:
             self.tell(f"{typed!r} is not one of `yes`, `no`, `abort`")
 
     def angle_deg(self, words: str) -> float | None:
-        """Ask for an angle, deg; an empty answer means None; raises as :meth:`agrees`."""
+        """Ask for an angle, deg; an empty answer means None; raises as :meth:`agrees`.
+
+        The angle of the command line is the answer to the first question: later the joint has
+        moved.
+        """
         if self._angle_deg is not None:
-            return self._angle_deg
+            given, self._angle_deg = self._angle_deg, None
+            return given
         while True:
             typed = self._ask(f"{words} (empty: not known): ")
             if not typed:

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
+from glob import glob
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -51,6 +53,17 @@ def load_campaign(path: Path) -> Document[Campaign]:
     document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
     return document
+
+
+def matching_files(folder: Path, pattern: str) -> list[Path]:
+    """Return the files of a pattern of a campaign in ``folder``, sorted; empty without a match.
+
+    An existing name is used literally, because file names may contain brackets.
+    """
+    stored = stored_path(pattern)
+    if os.path.exists(folder / stored):
+        return [folder / stored]
+    return [folder / name for name in sorted(glob(str(stored), root_dir=folder, recursive=True))]
 
 
 def _rows(root: Node, path: Path) -> Node:

@@ -31,6 +31,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.common.errors import InputError
+from rig.common.places import is_file
 from rig.console.followed import Followed
 from rig.console.gate import (
     BURST,
@@ -285,7 +286,7 @@ class Recorded:
             wanted = chosen(self.root, everything, Wanted(bench=glob.escape(choice.bench)))
         benches = {entry.head.bench for entry in everything} - {""}
         found = {
-            "root": str(self.root.absolute()),
+            "root": os.path.abspath(self.root),
             "count": len(everything),
             "problem": self._problem,
             "benches": sorted(benches),
@@ -301,7 +302,7 @@ class Recorded:
             "cells": list(known.values())[1:],
             "verdict": known["verdict"],
             "problem": entry.head.problem,
-            "pages": [each for each in PAGES if (folder / each[0]).is_file()],
+            "pages": [each for each in PAGES if is_file(folder / each[0])],
         }
 
     async def _page(self, request: Request) -> Response:
@@ -477,6 +478,9 @@ class Console:
                 if each.key in failed
             )
             raise Refusal(words, unconfirmed=list(failed))
+        if unheard := self._hub.unheard:
+            late = f"{unheard} more, which connects to its bench or hangs, has not answered"
+            raise Refusal(f"{', '.join([*names, late])}; press STOP again", unconfirmed=[])
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
 
     async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -623,11 +627,15 @@ def serve(
     starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
 ) -> None:
     """Serve the console until SIGINT or SIGTERM."""
+    try:
+        hub = Hub(starter, only)
+    except OSError as error:
+        raise InputError(f"the console cannot reach programs: {error}") from error
     with _listening(port) as listener:
         port = listener.getsockname()[1]
         token = Token()
         hosts = frozenset({f"{HOST}:{port}", f"localhost:{port}"})
-        console = Console(Hub(starter, only), token, hosts)
+        console = Console(hub, token, hosts)
         config = uvicorn.Config(
             console.app,
             log_level="warning",

@@ -343,6 +343,8 @@ class Followed(Reached):
             record = read_record(self.folder)
         except (OSError, InputError):
             return
+        if len(record.parts) < self._parts:
+            return  # the folder was used again for another run
         self.record, self._stamp = record, stamp
         if not self._parts or not self.closed:
             # Later recordings are those of another program, which continues the run.

@@ -337,6 +337,11 @@ class Hub:
         """Every program in progress that can move a bench of this console."""
         return [each for each in (*self.runs.values(), *self.others.values()) if not each.over]
 
+    @property
+    def unheard(self) -> int:
+        """Number of programs that have not answered yet, because they connect or hang."""
+        return sum(p not in self._by_path and p not in self._ignored for p in self._links.runs())
+
     async def stop(self, who: str) -> tuple[list[Reached], dict[str, str]]:
         """Send STOP to all in progress; return them, and why, by key, some did not confirm it."""
         if self._look(time.monotonic()) and not self.moving:

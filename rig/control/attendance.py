@@ -100,9 +100,12 @@ def connected(
         with stop.interruptible():
             opened = partial(connect, document, seed, realtime, attach, torque_offset, purpose)
             files = lock_files(resources(document.value))
-            devices = when_free(
-                lambda: stack.enter_context(opened()), wait_s, say, RealClock(), files
-            )
+
+            def attempt() -> Devices:
+                stop.check()  # answers the console, and takes its STOP
+                return stack.enter_context(opened())
+
+            devices = when_free(attempt, wait_s, say, RealClock(), files)
             if not document.value.simulated:
                 why = stack.enter_context(kept_awake(purpose))
                 devices = dataclasses.replace(devices, awake=why)

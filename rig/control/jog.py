@@ -1,4 +1,4 @@
-"""Jogging: single moves of the joint under low limits, with the drive off before and after each."""
+"""Jogging: moves of the joint under low limits, with the drive off before and after all."""
 
 from __future__ import annotations
 

@@ -379,14 +379,17 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
     return Contradiction(SHAFT, factor, f"{found}: {remedy}", changes)
 
 
-def wrong_sense(sense: float) -> Contradiction:
+def wrong_sense(sense: float, nominal: Nominal) -> Contradiction:
     """Return the contradiction if the current works against the motion."""
+    stated = nominal.current_sign
+    changes = () if stated is None else (Change("servo", "current_sign", -stated),)
+    remedy = f"set {changes[0]}" if changes else "reverse the scale of its signal in the bench file"
     words = (
         f"the current works against the motion in both directions (relative work {sense:.2f}, "
         f"must be above {-SENSE:g}), but friction consumes work, so that the sign of the current "
-        "is wrong: set servo.current_sign: -1, or correct the sign with the maker's tool"
+        f"is wrong: {remedy}, or correct the sign with the maker's tool"
     )
-    return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))
+    return Contradiction(WORK, sense, words, changes)
 
 
 def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradiction:
@@ -463,7 +466,7 @@ def prove(
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= tolerance):
         wrong.append(wrong_shaft(shaft, nominal))
     if sense < -SENSE:
-        wrong.append(wrong_sense(sense))
+        wrong.append(wrong_sense(sense, nominal))
     if not _same(constant / nominal.torque_constant_N_m_A, TORQUE_BAND):
         wrong.append(wrong_torque(constant, source, nominal))
     return Proof(found, tuple(wrong))

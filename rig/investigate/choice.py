@@ -102,6 +102,7 @@ class Choice(NamedTuple):
 
     proposal: Proposal | None
     indistinct: Mapping[tuple[str, str], float]
+    late: bool = False  # whether the time is too short for a part
 
 
 class _Judged(NamedTuple):
@@ -208,11 +209,13 @@ def propose(
         cover: Whether to cover instead of separating.
         given_up: Names of rivals that are not separated any more.
     """
+    # The limits hold for what is not separated any more, too.
+    also = [h for h in weighed.hypotheses if h.name in given_up and h.preference < REJECTED]
     weighed = weighed._replace(
         hypotheses=tuple(h for h in weighed.hypotheses if h.name not in given_up)
     )
     rng = np.random.default_rng([seed, number])
-    design = _simulated(bench, weighed, bandwidth_Hz, rng, progress, avoided, cover)
+    design = _simulated(bench, weighed, also, bandwidth_Hz, rng, progress, avoided, cover)
     names = [h.name for h in design.hypotheses]
     indistinct: dict[tuple[str, str], float] = {}
     if not cover and len(names) > 1 and design.judged:
@@ -223,7 +226,8 @@ def propose(
     open_pairs = cover or len(indistinct) < len(names) - 1
     chosen = _best(design, most_s, progress) if open_pairs and design.judged else []
     if not chosen:
-        return Choice(None, indistinct)
+        late = open_pairs and any(design.seconds([one]) > most_s for one in design.judged)
+        return Choice(None, indistinct, late)
     apart = {} if cover else design.apart(chosen)
     if not cover and max(z for (a, _), z in apart.items() if a == 0) < WORTH_WHILE:
         return Choice(None, indistinct)
@@ -247,6 +251,7 @@ def propose(
 def _simulated(
     bench: SimulatedBench,
     weighed: Weighed,
+    also: Sequence[Hypothesis],
     bandwidth_Hz: float,
     rng: np.random.Generator,
     progress: Progress,
@@ -254,16 +259,23 @@ def _simulated(
     cover: bool,
 ) -> _Design:
     """Simulate every part under every hypothesis that is not rejected; to cover, under any one
-    rather than none.
+    rather than none. The limits hold under these hypotheses and those in ``also``.
     """
     hypotheses: list[Hypothesis] = []
     machines: list[Machine] = []
+    refusing: list[Hypothesis] = []
     for h in weighed.hypotheses:
         wanted = h.preference < REJECTED or (cover and not hypotheses)
         if wanted and len(hypotheses) < MOST_HYPOTHESES:
+            refusing.append(h)
             with suppress(InputError):  # an effect that the simulated machine cannot have
                 machines.append(bench.machine(h.model))
                 hypotheses.append(h)
+    refusing += also[:MOST_HYPOTHESES]
+    guards = [(h, m) for h in also[:MOST_HYPOTHESES] for m in bench.machines([h.model]).values()]
+    # Under a load whose friction is not known, the machine has the paper's as well.
+    unknown = [h for h in refusing if not bench.knows_load(h.model)]
+    under_load = [(h, m) for h in unknown for m in bench.machines([bench.loaded(h.model)]).values()]
     terms = MOTION if cover else ()
     judged: list[_Judged] = []
     refused: dict[str, str] = {}
@@ -274,7 +286,7 @@ def _simulated(
         for part in family(bench.document.value, rng, drifts)
         if not {stage.name for stage in part.stages} & {*avoided}
     ]
-    models = [h.model for h in hypotheses]
+    models = [h.model for h in refusing]
     for k, part in enumerate(parts if hypotheses else ()):
         progress("simulating experiments", k / len(parts))
         try:
@@ -283,6 +295,9 @@ def _simulated(
             near = [
                 f"{h.name}: {r.problem}" for h, r in zip(hypotheses, runs, strict=True) if r.problem
             ]
+            for h, machine in (*guards, *under_load) if part.weight_kg else guards:
+                if not near and (problem := bench.simulate(plan, machine).problem):
+                    near.append(f"{h.name}: {problem}")
             if near:
                 refused[part.name] = near[0]
                 continue

@@ -4,15 +4,16 @@ fitted only if the prediction failed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
-from identification.design.separation import Weighed, experiment_views, predicted_band
+from identification.design.separation import REJECTED, Weighed, experiment_views, predicted_band
+from identification.effects import EFFECTS
 from identification.numerics.arrays import Array, plain
 from identification.recording import Dataset, RecordingError
 from identification.views.view import views
@@ -102,9 +103,11 @@ def predict(
     rng: np.random.Generator,
     progress: Progress,
     result: str = "",
-) -> Prediction | None:
-    """Return the prediction of a confirming experiment, or None if the model cannot be simulated
-    within the limits of the bench.
+    avoided: Collection[str] = (),
+) -> Prediction | str:
+    """Return the prediction of a confirming experiment, or why there is none: the model cannot be
+    simulated, or no experiment is within the limits of the bench for it and for every hypothesis
+    that is not rejected.
 
     Args:
         bench: The bench.
@@ -113,32 +116,45 @@ def predict(
         rng: Random generator of the parts.
         progress: Called with the present step.
         result: Path of another result, whose model predicts; empty for none.
+        avoided: Names of stages that have tripped.
     """
     recordings = [r.name for r in outcome.dataset.recordings]
     joint, diagnosis = weighed.hypotheses[0].joint, outcome.diagnosis
     torque = next((f for f in diagnosis.fits if f.equation == "torque"), diagnosis.fit)
     parts = family(bench.document.value, rng)
-    heaviest = max(p.weight_kg for p in parts)
     try:
         record = read_result(Path(result)) if result else outcome.record()
         model = model_of(record, recordings)
+        # A mistake in one recording does not come again.
+        lasting = {n: e for n, e in model.effects.items() if EFFECTS[n].place is None}
+        model = replace(model, effects=lasting)
         machine = bench.machine(model)
-    except InputError:
-        return None
+    except InputError as error:
+        return str(error)
+    open_models = [h.model for h in weighed.hypotheses if h.preference < REJECTED]
+    machines = list(bench.machines(open_models).values())
+    # Without loaded recordings the friction under a load is not known.
+    heaviest = max(p.weight_kg for p in parts) if bench.knows_load(model) else 0.0
+    why = "every motion has a stage that has tripped"
     for motion in MOTIONS:
         progress("predicting the confirming experiment", 0.0)
         chosen = in_order(
             [p for p in parts if _motion(p) == motion and p.weight_kg in (0.0, heaviest)]
         )
+        if any(stage.name in avoided for p in chosen for stage in p.stages):
+            continue
         document = as_document("confirm", chosen)
         try:
-            plan = bench.plan(document, [model])
+            plan = bench.plan(document, [model, *open_models])
             simulated = bench.simulate(plan, machine)
-            if simulated.problem:
+            near = [simulated.problem, *(bench.simulate(plan, m).problem for m in machines)]
+            if any(near):
+                why = next(filter(None, near))
                 continue
             here = experiment_views(simulated.recordings, joint, torque.bandwidth_Hz)
             band = predicted_band(joint, here)
-        except (InputError, RecordingError):
+        except (InputError, RecordingError) as error:
+            why = str(error)
             continue
         wide = float(stats.norm.ppf(0.5 + 0.5 * BAND))
         series = zip(simulated.recordings, *band, strict=True)
@@ -158,7 +174,7 @@ def predict(
         }
         changes = weight_changes(plan.stages)
         return Prediction(document.value, sealed, bench_seconds(plan), changes)
-    return None
+    return why
 
 
 def _motion(part: Part) -> str:

@@ -8,6 +8,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import Samples, record
 from identification.effects.model import CorrectedModel
-from identification.model.parameters import NOMINAL
+from identification.model.parameters import LOAD_PARAMETERS, NOMINAL
 from identification.recording import Bench as Constants
 from identification.recording import Recording
 from identification.views.nominal import SPEEDS
@@ -96,8 +97,9 @@ class Part(NamedTuple):
 def weights(bench: Bench) -> tuple[float, ...]:
     """Return the masses that may be hung, kg, ascending: at most two."""
     per_kg = bench.machine.lever_ratio * bench.machine.gravity_m_s2
-    heaviest = SHARE * min(bench.limits.weight_kg, bench.limits.contact_force_N / per_kg)
-    offered = sorted(w for w in bench.weights_kg if w <= heaviest / SHARE)
+    most = min(bench.limits.weight_kg, bench.limits.contact_force_N / per_kg)
+    heaviest = SHARE * most
+    offered = sorted(w for w in bench.weights_kg if w <= most * (1.0 + 1e-12))
     if not bench.weights_kg:
         offered = [float(f"{share * heaviest:.2g}") for share in (LIGHT, HEAVY)]
     offered = [w for w in offered if w > 0.0]
@@ -199,10 +201,11 @@ def weight_changes(stages: Sequence[StageSection | PlannedStage | StageRecord]) 
 
 
 def bench_seconds(plan: Plan) -> float:
-    """Return the time that a run occupies bench and operator, s."""
+    """Return the time of bench and operator for a run, up to the empty lever of the next one, s."""
     moves = sum(len(m) for stage in plan.stages for m in moves_to_start(stage, plan))
     changes = weight_changes(plan.stages)
-    hands = HANG_S * changes + CONFIRM_S * (len(plan.stages) - changes)
+    off = plan.stages[-1].weight_kg > 0.0
+    hands = HANG_S * (changes + off) + CONFIRM_S * (len(plan.stages) - changes)
     return START_S + hands + plan.duration_s + moves * plan.cycle_s
 
 
@@ -241,7 +244,9 @@ class SimulatedBench:
         plain: Any = tree.plain()
         stated = plain.get("mock") or {}
         mock = {
-            name: {**value, **stated.get(name, {})} if isinstance(value, dict) else value
+            name: {**value, **stated.get(name, {})}
+            if isinstance(value, dict)
+            else stated.get(name, value)
             for name, value in derived(plain).items()
         }
         base = {**plain, "mock": {**stated, **mock}}
@@ -269,6 +274,26 @@ class SimulatedBench:
         return dataclasses.replace(
             machine, sensing=dataclasses.replace(machine.sensing, current_noise_A=0.0)
         )
+
+    def machines(self, models: Sequence[CorrectedModel]) -> dict[int, Machine]:
+        """Return the machines of models by their place, without those that cannot be simulated."""
+        found: dict[int, Machine] = {}
+        for k, model in enumerate(models):
+            with suppress(InputError):  # an effect that the simulated machine cannot have
+                found[k] = self.machine(model)
+        return found
+
+    @staticmethod
+    def knows_load(model: CorrectedModel) -> bool:
+        """Whether the friction under a load was identified."""
+        return "mu_c" in model.parameters
+
+    def loaded(self, model: CorrectedModel) -> CorrectedModel:
+        """Return a model with the paper's friction under a load, if its own is not known."""
+        if self.knows_load(model):
+            return model
+        known = {n: NOMINAL[n] for n in LOAD_PARAMETERS if n in NOMINAL}
+        return dataclasses.replace(model, parameters={**known, **model.parameters})
 
     def plan(self, sequence: Document[Stages], models: Sequence[CorrectedModel]) -> Plan:
         """Return the plan of an experiment.

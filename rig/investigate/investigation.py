@@ -159,9 +159,13 @@ class State:
         weighed = [e for e in self.experiments if e.levels]
         vain = 0
         for before, e in pairwise(weighed):
+            if e.purpose == "refute":
+                vain = 0  # the prediction failed: the hypotheses are others
+                continue
             hoped = max((e.expected.get(p, 0.0) for p in (pair, joined(rival, first))), default=0.0)
             gaps = [x.levels.get(rival, math.inf) - x.levels.get(first, 0.0) for x in (before, e)]
-            vain += hoped >= WORTH_WHILE and not abs(gaps[1] - gaps[0]) >= WORTH_WHILE
+            same = not abs(gaps[1] - gaps[0]) >= WORTH_WHILE
+            vain += hoped >= WORTH_WHILE and same
         return f"{vain} experiments that were to separate them did not" if vain >= VAIN else ""
 
     def save(self, folder: Path) -> None:
@@ -207,17 +211,21 @@ def read_runs(folders: Sequence[Path]) -> Dataset:
     recording has the name of its run folder, with a number if another folder has the same name.
 
     Raises:
-        InputError: No run has a recording.
+        InputError: No run has a recording, a folder is no run, or the recording of a run that was
+            completed cannot be read.
     """
     recordings: list[Recording] = []
     problems: list[str] = []
     first: datetime | None = None
     labels = list[str]()
     for folder in folders:
+        record = read_record(folder)
         try:
-            record, dataset = read_record(folder), load_run(folder, partial=True)
+            dataset = load_run(folder, partial=True)
         except InputError as error:
-            problems += error.problems
+            if record.state == Ending.DONE.value:
+                raise
+            problems += error.problems  # a run that ended before its first motion
             continue
         created = datetime.fromisoformat(record.created)
         first = first or created
@@ -370,7 +378,7 @@ class Investigation:
                 judged = self._judge()
             state.save(self._folder)
             final = self.judged(refine=True)
-            if not self._confirming() and state.left_s > 0.0:
+            if not self._confirming():
                 self._confirm(final)
             found = self._compare()
             if found is None or found.band_held >= LEAST_HELD or not self._refuted():
@@ -502,7 +510,8 @@ class Investigation:
     def _judge(self) -> Judgement:
         judged = self.judged()
         weighed = judged.weighed
-        last = [e for e in self.state.experiments if e.purpose != "confirm"][-1]
+        # An experiment that ended before its first motion has shown nothing, not even in vain.
+        last = [e for e in self.state.experiments if e.purpose != "confirm" and self._moved(e)][-1]
         last.odds, last.verdict = weighed.odds, judged.diagnosis.verdict.value
         gaps = {h.name: h.preference for h in weighed.hypotheses}
         last.levels = {name: gap for name, gap in gaps.items() if math.isfinite(gap)}
@@ -511,6 +520,9 @@ class Investigation:
         shown = ", ".join(f"{spoken(n)} {p:.0%}" for n, p in [*last.odds.items()][:4])
         self._say(f"{last.run}: {last.verdict.replace('_', ' ')}; odds: {shown}")
         return judged
+
+    def _moved(self, e: Experiment) -> bool:
+        return bool(read_record(self._place(e.run)).segments)
 
     def _next(self, judged: Judgement) -> Proposal | None:
         """Return the next experiment, or None, with the reason in the state."""
@@ -524,11 +536,19 @@ class Investigation:
             why = f"{MOST_EXPERIMENTS} experiments did not suffice"
         else:
             vain = {r.name for r in rivals if state.given_up(first.name, r.name)}
-            found = self._repetition(judged)
-            if found is None and len(vain) < len(rivals):
-                found = self._proposed(judged, vain, cover=False)
+            found, late = self._repetition(judged), False
+            while found is None and len(vain) < len(rivals):
+                # Rivals beyond the first ones are simulated when those are given up.
+                before = vain
+                found, late = self._proposed(judged, vain, cover=False)
+                vain = {r.name for r in rivals if state.given_up(first.name, r.name)}
+                if vain == before:
+                    break
             if found is None and self._cover_is_worth_while():
-                found = self._proposed(judged, vain, cover=True)
+                found, short = self._proposed(judged, vain, cover=True)
+                late = late or short
+            if found is None and late:
+                why = f"no experiment fits in the {state.left_s / 60.0:.1f} min left of the budget"
         state.cannot_separate = [
             {
                 "names": [first.name, r.name],
@@ -539,7 +559,8 @@ class Investigation:
             if found is None or found.purpose == "cover"
         ]
         if found is None:
-            state.ended = why or _why_no_more(judged)
+            covered = any(e.purpose == "cover" for e in state.experiments)
+            state.ended = why or _why_no_more(judged, covered)
         return found
 
     def _repetition(self, judged: Judgement) -> Proposal | None:
@@ -566,8 +587,12 @@ class Investigation:
                 )
         return None
 
-    def _proposed(self, judged: Judgement, vain: Collection[str], cover: bool) -> Proposal | None:
-        """Return an experiment that separates, or one that covers; note what none separates."""
+    def _proposed(
+        self, judged: Judgement, vain: Collection[str], cover: bool
+    ) -> tuple[Proposal | None, bool]:
+        """Return an experiment that separates, or one that covers, and whether the budget is too
+        short for one; note what none separates.
+        """
         state = self.state
         chosen = propose(
             self.bench,
@@ -582,7 +607,7 @@ class Investigation:
             vain,
         )
         state.indistinct |= {joined(*pair): z for pair, z in chosen.indistinct.items()}
-        return chosen.proposal
+        return chosen.proposal, chosen.late
 
     def _cover_is_worth_while(self) -> bool:
         """Whether to run one more experiment that covers: the last ones have shown something, or
@@ -590,30 +615,40 @@ class Investigation:
         """
         weighed = [e for e in self.state.experiments if e.odds]
         least = VAIN if weighed[-1].verdict == Verdict.NOTHING_MISSING.value else 1
-        covers = sum(e.purpose == "cover" for e in weighed)
-        vain = 0
+        covers = vain = 0
         for before, e in pairwise(weighed):
+            if e.purpose == "refute":
+                covers = vain = 0
+                continue
+            covered = e.purpose == "cover"
             moved = max(abs(p - before.odds.get(n, 0.0)) for n, p in e.odds.items())
             shown = moved >= LEAST_SHOWN or e.left > RULES.tested_from * before.left
-            vain = 0 if e.purpose == "refute" or shown else vain + (e.purpose == "cover")
+            covers += covered
+            vain = 0 if shown else vain + covered
         return covers < MOST_COVERS and vain < least
 
     def _tripped(self) -> list[str]:
         """Return the names of the stages that have tripped."""
-        tripped = Ending.TRIPPED.value
-        runs = [e.run for e in self.state.experiments if e.state == tripped and e.sequence]
-        stages = [s for run in runs for s in read_record(self._place(run)).stages]
-        return [stage.name for stage in stages if stage.state == tripped]
+        tripped = [e for e in self.state.experiments if e.state == Ending.TRIPPED.value]
+        return tripped_stages([self._place(e.run) for e in tripped])
 
     def _confirm(self, final: Judgement) -> None:
         """Predict one more experiment, seal the prediction, and run the experiment."""
         state = self.state
         rng = np.random.default_rng([state.seed, len(state.experiments), 1])
         prediction = predict(
-            self.bench, final.outcome, final.weighed, rng, self._progress, state.confirm
+            self.bench,
+            final.outcome,
+            final.weighed,
+            rng,
+            self._progress,
+            state.confirm,
+            self._tripped(),
         )
-        if prediction is None:
-            self._say("no confirming experiment: the model of the result cannot be simulated")
+        if isinstance(prediction, str):
+            if state.confirm:
+                raise InputError(f"{state.confirm}: no confirming experiment: {prediction}")
+            self._say(f"no confirming experiment: {prediction}")
             return
         path = self._prediction
         write_json(path, prediction.sealed)
@@ -626,6 +661,8 @@ class Investigation:
         """Compare the confirming run, if it was completed, with its prediction."""
         runs = [e for e in self._confirming() if e.state == Ending.DONE.value]
         if not runs:
+            for e in self._confirming():
+                self._say(f"{e.run}: ended as {e.state}, so that the prediction is not tested")
             return None
         path, digest = self._prediction, self.state.confirmation["predicted_sha256"]
         if (now := sha256_file(path)) != digest:
@@ -641,8 +678,14 @@ class Investigation:
         return found
 
 
-def _why_no_more(judged: Judgement) -> str:
-    """Return why no experiment is worth while."""
+def tripped_stages(folders: Sequence[Path]) -> list[str]:
+    """Return the names of the stages of runs that have tripped."""
+    stages = [stage for folder in folders for stage in read_record(folder).stages]
+    return [stage.name for stage in stages if stage.state == Ending.TRIPPED.value]
+
+
+def _why_no_more(judged: Judgement, covered: bool) -> str:
+    """Return why no experiment is worth while; ``covered``: whether one covered new motions."""
     first, named = judged.weighed.hypotheses[0], {e.name for e in judged.diagnosis.effects}
     if judged.weighed.rivals:
         return "no experiment within limits, weights and channels of this bench separates the rest"
@@ -650,6 +693,8 @@ def _why_no_more(judged: Judgement) -> str:
         said = " and ".join(map(spoken, sorted(named)))
         return f"{spoken(first.name)} has the greatest likelihood, but the diagnosis selects {said}"
     rejected = "every rival is rejected, and " if first.names else ""
+    if not covered:
+        return f"{rejected}no experiment of this bench covers new motions"
     return f"{rejected}the last experiments that covered new motions changed nothing"
 
 

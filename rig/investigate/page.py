@@ -170,7 +170,7 @@ def _reasons(state: State) -> Iterator[Paragraph]:
 def _odds(judged: Judgement) -> Table:
     preferred = {h.name: h.preference for h in judged.weighed.hypotheses}
     rows = tuple(
-        (spoken(n), percent(100.0 * p), number(preferred.get(n), 3))
+        (spoken(n), "< 0.01 %" if p < 1e-4 else percent(100.0 * p), number(preferred.get(n), 3))
         for n, p in judged.weighed.odds.items()
     )
     return Table(("hypothesis", "probability", "rejected by, sigma"), rows, (1, 2))

@@ -38,7 +38,7 @@ from rig.results.prove.document import shares
 from rig.results.prove.draw import NEEDS_GRAVITY, SIZES, Assigned, Kind, Rig, assignment, draw
 from rig.results.prove.engine import Engine
 from rig.results.prove.run import PREFIX, PROOF_FILE, ROWS, Proof, diagnosis_seed, seals_begun
-from rig.results.prove.score import REFUSED, STRONG, VERSION, rate
+from rig.results.prove.score import NO_ALARM, REFUSED, STRONG, VERSION, rate
 from rig.results.prove.simulate import left_over, truth_of
 from rig.results.prove.truth import Sealed, place, repeated_salt, seal_truth, unseal
 from rig.runs.run_record import Ending
@@ -69,9 +69,6 @@ _RATES = {
     "repeated_wrong": f"{_REPEATED}, {_ONE}: another one named",
     "held": "samples in the sealed 90 % band, mean over machines",
 }
-
-
-_NO_ALARM = ("nothing_missing", REFUSED)
 
 
 class Trial(NamedTuple):
@@ -304,7 +301,9 @@ def row_of(
         "to_name": [at + 1, minutes[at]] if scored == "right" and at < len(minutes) else None,
         "experiments": len(state.experiments),
         "minutes": state.bench_seconds / 60.0,
-        "held": state.confirmation.get("band_held"),
+        "held": next(
+            (c["band_held"] for c in (*state.refuted, state.confirmation) if "band_held" in c), None
+        ),
         "refuted": len(state.refuted),
         "traceback": trace,
     }
@@ -338,7 +337,7 @@ def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         **{state: share(strong, state) for state in STATES},
         **{f"{state}_all": share(kinds["one"], state) for state in STATES},
-        "alarms": rate(sum(r["verdict"] not in _NO_ALARM for r in nothing), len(nothing)),
+        "alarms": rate(sum(r["verdict"] not in NO_ALARM for r in nothing), len(nothing)),
         "outside": share(kinds["outside"], "right"),
         "outside_named": share(kinds["outside"], "wrong"),
         **{f"repeated_{state}": share(strong, state, "repeated") for state in STATES},

@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from glob import glob, has_magic
+from glob import has_magic
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -20,9 +20,8 @@ from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.places import is_file, is_folder, usable
 from rig.common.provenance import sha256_file
-from rig.common.text import stored_path
 from rig.common.timing import instant
-from rig.config.campaign import Campaign, load_campaign
+from rig.config.campaign import Campaign, load_campaign, matching_files
 from rig.config.campaign_sections import ANGLE_TIME, RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.runs.alignment import aligned
@@ -548,16 +547,7 @@ def _files(
         loc: Loc = ("recordings", index, "file")
         if not isinstance(section.file, str):
             loc = (*loc, position)
-        exact = folder / stored_path(pattern)
-        # An existing name is used literally, because file names may contain brackets.
-        matches = (
-            [exact]
-            if os.path.exists(exact)
-            else [
-                folder / m
-                for m in sorted(glob(str(stored_path(pattern)), root_dir=folder, recursive=True))
-            ]
-        )
+        matches = matching_files(folder, pattern)
         if not matches:
             what = "no file matches this pattern" if has_magic(pattern) else "no such file"
             problems.append(document.problem(loc, f"{what} in {folder}"))

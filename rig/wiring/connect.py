@@ -490,6 +490,7 @@ def nominal_of(bench: Bench) -> Nominal:
         getattr(servo, "rated_current_A", None) if own else None,
         getattr(servo, "rated_torque_N_m", None) if own else None,
         bench.encoder.sign,
+        getattr(servo, "current_sign", None),
         machine.back_emf_constant_V_s_rad,
     )
 

@@ -32,6 +32,7 @@ class Nominal:
     rated_current_A: float | None = None
     rated_torque_N_m: float | None = None
     encoder_sign: int = 1
+    current_sign: int | None = 1
     back_emf_constant_V_s_rad: float | None = None
 
 

@@ -5,7 +5,9 @@ import json
 import math
 import signal
 import sys
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,10 @@ from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from rig.cli.entry import status
-from rig.commissioning.commission import STEPS, patched
+from rig.commissioning.commission import STEPS, commission, patched
 from rig.commissioning.moving import SMALL_DEG
-from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.commissioning.record import WrongError
+from rig.commissioning.setup import FASTEST_DEG_S, Setup, TypedInterview
 from rig.common.errors import StorageError
 from rig.config.bench import load_bench
 from rig.config.serial_bus import NO_WATCHDOG
@@ -25,6 +28,11 @@ from rig.control.cycle import Cycle
 from rig.control.motion_proof import Change
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
+from rig.runs.run_record import Ending
+from rig.terminal.prompt import Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
+from rig.wiring.teardown import SafeState
 
 from .benches import variant
 from .true_motion import watch_machines
@@ -236,6 +244,46 @@ def test_a_stop_during_the_step_that_stops_ends_it(here, monkeypatch, number, br
     assert record["sessions"][0][-1]["name"] == "stop"
     assert bool(cycles) == brakes
     assert 1 not in cycles
+
+
+def test_a_quick_stop_that_is_slower_than_promised_is_found(here, monkeypatch):
+    variant(here, *SLOW, ("servo: {node: 1", "servo: {quick_stop_deceleration_deg_s2: 20, node: 1"))
+    assert commissioned("--angle", "0")[0] == 0
+    promised = Cia402Servo.promised_deceleration
+    monkeypatch.setattr(Cia402Servo, "promised_deceleration", lambda self: 100 * promised(self))
+    ended, _ = commissioned("--angle", "0", "--out", "wrong")
+    record = json.loads(Path("wrong/commission.json").read_text())
+    last = record["sessions"][0][-1]
+    assert (ended, last["name"], last["verdict"]) == (1, "stop", "wrong")
+    assert "6085h" in last["words"]
+
+
+def test_the_angle_of_the_command_line_is_that_of_the_start(here, monkeypatch):
+    answers(monkeypatch, "1,5", "")
+    with closing(Screen()) as screen, StopButton() as stop:
+        interview = TypedInterview(screen, Prompt(screen), stop, 0.0)
+        assert [interview.angle_deg("angle?") for _ in range(3)] == [0.0, 1.5, None]
+
+
+@pytest.mark.parametrize("verified", [True, False])
+def test_nothing_is_asked_while_the_drive_may_be_under_power(here, monkeypatch, verified):
+    asked: list[str] = []
+
+    def tripped(*given: Any) -> WrongError:
+        result = given[-1]
+        result.sessions.append([])
+        result.ending, result.safe = Ending.TRIPPED, SafeState(verified, "off")
+        return WrongError("wrong", (Change("encoder", "sign", -1),))
+
+    def agrees(words: str) -> bool:
+        asked.append(words)
+        return False
+
+    monkeypatch.setattr("rig.commissioning.commission._session", tripped)
+    interview: Any = SimpleNamespace(agrees=agrees)
+    nothing: Any = None
+    found = commission(load_bench("bench.yaml"), nothing, interview, nothing, nothing)
+    assert (found.ending, len(asked)) == (Ending.TRIPPED, int(verified))
 
 
 FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 1\n"

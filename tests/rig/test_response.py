@@ -96,7 +96,7 @@ def test_a_result_of_another_kind_is_bad_input(measured: Path, tmp_path: Path) -
 
 
 def test_spectra_survive_the_file(measured: Path) -> None:
-    seen, gains = read_response(measured / "response.json")
+    seen, gains, _ = read_response(measured / "response.json")
     assert seen.windows >= 4
     assert np.isfinite(seen.plant).all()
     assert gains.speed > 0.0

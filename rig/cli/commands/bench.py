@@ -169,8 +169,8 @@ def jog(
     reset_fault: bool,
     json_file: Path | None,
 ) -> int:
-    """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and
-    after each move.
+    """Move BENCH to joint angles, slowly and at low limits; the drive is off before the
+    first and after the last move.
 
     Without --to, the program asks for one angle after another, with the drive off in between; an
     empty answer ends the command. Nothing is recorded. Ctrl-C brakes and takes the power off; a

@@ -161,6 +161,8 @@ def commission(
       rig commission practical --yes --angle 0 --home 37
     """
     document = load_bench(bench)
+    # The file may be edited while a question waits: protocol and patch are those of this text.
+    original = document.path.read_bytes()
     click.echo(bench_line(document))
     _require_allowed(document, yes, mistake)
     require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
@@ -193,8 +195,10 @@ def commission(
                 fastest_deg_s,
                 home,
             )
-            written = _keep(result, document, folder, new_file)
-            record = commission_record(result, document, seed, operator_name, written)
+            written = _keep(result, original, document.path.name, folder, new_file)
+            record = commission_record(
+                result, document, sha256(original), seed, operator_name, written
+            )
             write_record(record, folder / RECORD_FILE, None)
         protocol = commission_document(result, document, operator_name, written)
         screen.say(shown(protocol), err=False)
@@ -294,13 +298,14 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
     return connect
 
 
-def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
-    """Write the corrections; return the path of the new bench file, empty if there is none."""
-    before = document.path.read_text(encoding="utf-8-sig")
+def _keep(result: Commissioning, original: bytes, name: str, folder: Path, new_file: Path) -> str:
+    """Write the corrections of a bench file with this content and name; return the path of the new
+    bench file, empty if there is none.
+    """
+    before = original.decode("utf-8-sig").replace("\r\n", "\n")
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)
         return ""
-    name = document.path.name
     old, new = (text.splitlines(keepends=True) for text in (before, result.text))
     # A unified diff that ``patch`` accepts.
     patch = "".join(difflib.unified_diff(old, new, fromfile=name, tofile=name))
@@ -311,9 +316,14 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
 
 
 def commission_record(
-    result: Commissioning, bench: Document[Bench], seed: int, operator: str | None, new_file: str
+    result: Commissioning,
+    bench: Document[Bench],
+    digest: str,
+    seed: int,
+    operator: str | None,
+    new_file: str,
 ) -> dict[str, Any]:
-    """Return the record for the result file."""
+    """Return the record for the result file; ``digest`` is that of the bench file."""
     return {
         "schema": COMMISSION_SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -322,7 +332,7 @@ def commission_record(
         "operator": operator,
         "bench": bench.value.name,
         "bench_file": str(bench.path),
-        "sha256": sha256(bench.path.read_bytes()),
+        "sha256": digest,
         "real": not bench.value.simulated,
         "new_bench_file": new_file or None,
         **result.record(),

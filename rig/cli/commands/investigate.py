@@ -5,7 +5,7 @@ experiment, or only proposes it.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,7 +102,14 @@ def investigate(
     bench_file = load_bench(bench)
     click.echo(bench_line(bench_file))
     if resume:
+        if sources or question or result:
+            raise InputError(
+                "--resume: runs, --question and --confirm are those of the investigation; leave "
+                "them out"
+            )
         state = investigation.load_state(folder)
+        if budget_min is not None:
+            state.budget_min, state.ended = budget_min, "" if not state.confirm else state.ended
         if sha256_file(bench_file.path) != state.bench["sha256"]:
             raise InputError(
                 f"{bench_file.path}: changed since the investigation began; resume it with the "
@@ -114,7 +121,7 @@ def investigate(
         names = _effects(question)
         digest = {"file": str(bench_file.path), "sha256": sha256_file(bench_file.path)}
         state = investigation.State(digest, seed, budget_min, names)
-        _take_sources(state, sources, result)
+        _take_sources(state, sources, result, bench_file)
     folder.mkdir(parents=True, exist_ok=True)
     until_the_end(hold_folder(folder, "rig investigate"))
     try:
@@ -171,7 +178,9 @@ def _effects(question: str | None) -> list[str]:
     return names
 
 
-def _take_sources(state: State, sources: tuple[str, ...], result: Path | None) -> None:
+def _take_sources(
+    state: State, sources: tuple[str, ...], result: Path | None, bench: Document[Bench]
+) -> None:
     """Note the first sequence, or the runs that exist, in the state."""
     from rig.config.sequence import load_sequence
     from rig.investigate.investigation import given_run
@@ -192,10 +201,28 @@ def _take_sources(state: State, sources: tuple[str, ...], result: Path | None) -
         raise InputError(f"{others}: not a run folder; give one SEQUENCE, or RUN folders")
     if len(sources) > 1 and not runs:
         raise InputError(f"{sources[1]}: give one SEQUENCE, or RUN folders")
-    state.experiments += [given_run(folder) for folder in runs]
+    state.experiments += [given_run(folder) for folder in _of_bench(runs, bench)]
     if not runs:
         state.first = sources[0] if sources else FIRST
         load_sequence(state.first)
+
+
+def _of_bench(runs: Iterable[Path], bench: Document[Bench]) -> list[Path]:
+    """Return run folders, each once, or an InputError for a run of a bench with other constants."""
+    from rig.runs.run import bench_constants
+    from rig.runs.run_file import read_record, recorded_bench
+
+    once = list({folder.resolve(): folder for folder in runs}.values())
+    others = [f for f in once if recorded_bench(read_record(f)) != bench_constants(bench.value)]
+    if others:
+        raise InputError(
+            [
+                f"{f}: was recorded on a bench with other constants than {bench.value.name}; give "
+                "--bench the bench of the run"
+                for f in others
+            ]
+        )
+    return once
 
 
 def _runner(
@@ -291,17 +318,18 @@ def design(
     from rig.config.sequence import plain_sequence, sequence_text
     from rig.investigate.choice import propose
     from rig.investigate.experiments import SimulatedBench
-    from rig.investigate.investigation import judge_recordings, read_runs
+    from rig.investigate.investigation import judge_recordings, read_runs, tripped_stages
 
     require_file(out, "--out")
     bench_file = load_bench(bench)
     with ShareBar() as bar:
+        runs = tuple(_of_bench(runs, bench_file))
         judged = judge_recordings(read_runs(runs), runs[0], seed, _effects(question), bar)
         known = SimulatedBench.of(bench_file), judged.weighed, judged.diagnosis.fit.bandwidth_Hz
-        number = len(runs) + 1
+        number, tripped = len(runs) + 1, tripped_stages(runs)
         found = (
-            propose(*known, seed, number, bar).proposal
-            or propose(*known, seed, number, bar, cover=True).proposal
+            propose(*known, seed, number, bar, avoided=tripped).proposal
+            or propose(*known, seed, number, bar, avoided=tripped, cover=True).proposal
         )
     record = {
         **heading("loadrig.design/1"),

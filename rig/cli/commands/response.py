@@ -185,34 +185,43 @@ def tune(
     """
     from identification.simulation.frequency_response import NoResponseError, Wanted
     from rig.config.bench import load_bench
+    from rig.config.configuration import beside
     from rig.results.document import PAGE_FILE, shown, write_record
     from rig.results.response import tuning
     from rig.results.response.measure import RESPONSE_SCHEMA, loop_place, read_response
 
     bench_file = load_bench(bench)
     place = loop_place(bench_file)
-    if write:
-        tuning.keys_of(bench_file, place)
     folder = out or Path(f"{bench_file.path.stem}-tune")
     require_folder(folder, "--out")
-    measured = None
+    if write:
+        tuning.keys_of(bench_file, place)
+        if (tuned := beside(bench_file, folder, "tuned")).exists():
+            raise InputError(f"{tuned}: exists; move it away, so that no bench file is overwritten")
+    ripple = None
     if result is None:
         friction = _friction(bench_file, None)
         status, measured = _measure(bench_file, folder, friction, passed)
         if measured is None:
             return status
-        source = measured.seen, measured.fitted.gains
+        source, ripple = (measured.seen, measured.fitted.gains), measured.ripple_N_m
     else:
         record = read_json(result)
         if isinstance(record, dict) and record.get("schema") == RESPONSE_SCHEMA:
-            source = read_response(result)
+            seen, gains, ripple = read_response(result)
+            source = seen, gains
         else:
             source = tuning.modelled(bench_file, place, _friction(bench_file, result))
+    if write and ripple is None:
+        raise InputError(
+            f"--write: {result} does not state the ripple of the torque, with which an oscillation "
+            "is seen; leave --result out, or give a result of `rig response`"
+        )
     wanted = Wanted(phase_deg, gain_dB, bandwidth)
     try:
         found = _proposed(bench_file, place, source, wanted, result, folder, passed["seed"])
-        if write and not found.proposal.problem:
-            found = _tried(bench_file, found, folder, measured, passed)
+        if ripple is not None and write and not found.proposal.problem:
+            found = _tried(bench_file, found, folder, ripple, passed)
     except NoResponseError as error:
         raise InputError(f"{bench_file.path}: {error}") from error
     write_record(tuning.tune_record(found), folder / tuning.RESULT_FILE, json_file)
@@ -253,7 +262,7 @@ def _tried(
     bench: Document[Bench],
     found: Tuning,
     folder: Path,
-    measured: Response | None,
+    ripple_N_m: float,
     passed: dict[str, Any],
 ) -> Tuning:
     """Try the proposed gains step by step; keep the new bench file if all steps are good."""
@@ -261,14 +270,12 @@ def _tried(
     from rig.results.response.tuning import RAMP, Written, between, with_gains
 
     path, written = beside(bench, folder, "tuned"), Written()
-    if path.exists():
-        raise InputError(f"{path}: exists; move it away, so that no bench file is overwritten")
     try:
         for number, share in enumerate(RAMP, 1):
             gains = between(found.old, found.proposal.gains, share)
             text = with_gains(bench, found.place, found.old, gains)
             step = folder / f"step-{number}"
-            why = _step(bench, path, text, found, gains, step, measured, passed, written)
+            why = _step(bench, path, text, found, gains, step, ripple_N_m, passed, written)
             if why:
                 written.why = f"step {number} of {len(RAMP)}: {why}; the old gains remain"
                 break
@@ -288,7 +295,7 @@ def _step(
     found: Tuning,
     gains: Gains,
     folder: Path,
-    measured: Response | None,
+    ripple_N_m: float,
     passed: dict[str, Any],
     written: Written,
 ) -> str:
@@ -319,8 +326,8 @@ def _step(
     )
     if phase is None or expected is None or phase < expected - LOST_DEG:
         return f"phase margin {phase} deg where {expected} deg were expected"
-    if measured is not None and found.old.speed:
-        most = RIPPLE * max(gains.speed / found.old.speed, 1.0) * measured.ripple_N_m
+    if found.old.speed:
+        most = RIPPLE * max(gains.speed / found.old.speed, 1.0) * ripple_N_m
         if seen.ripple_N_m > most:
             return f"the torque oscillates: {seen.ripple_N_m:.3g} N m from sample to sample"
     return ""

@@ -19,6 +19,12 @@ function readToken() {
   return sessionStorage.getItem(KEPT) || "";
 }
 
+// Describes an answer that is not ok. A command without an answer may have arrived.
+export function failure(answer) {
+  return answer.unknown ? `NOT CONFIRMED, it may still be carried out: ${answer.words}`
+    : `Refused: ${answer.words}`;
+}
+
 export class Link {
   constructor(onState, onCharts, onContact) {
     this.token = readToken();
@@ -115,7 +121,7 @@ export class Link {
       return { ...found, ok: answer.ok };
     } catch (error) {
       const broken = !waiting.signal.aborted;
-      return { ok: false, broken, words: "the console did not answer" };
+      return { ok: false, broken, unknown: true, words: "the console did not answer" };
     } finally {
       clearTimeout(timer);
     }

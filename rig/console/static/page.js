@@ -1,7 +1,7 @@
 // The page: shows the state of a run, and sends the operator's commands.
 
 import { Charts, Friction } from "./charts.js";
-import { Link } from "./link.js";
+import { failure, Link } from "./link.js";
 import { Recorded, setUpStart } from "./runs.js";
 import { activityWords, driveWords, headlineOf, PHASES, showTables, timeWords, whenWords } from "./words.js";
 
@@ -25,7 +25,7 @@ let starting = false; // whether a run was started and is not found yet
 const charts = new Charts(at("charts"), ask);
 const friction = new Friction(at("friction"), at("friction-legend"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
-const start = setUpStart(link, say, awaitRun);
+const start = setUpStart(link, say, awaitRun, fresh);
 const recorded = new Recorded(going, showJudged);
 
 // Words about a run are removed when the page shows another run, and give way to what the run is
@@ -162,7 +162,10 @@ function showBenches() {
   const select = at("safe-bench");
   const { about, choices } = state;
   const shown = about ? [new Option(`${about.bench}, of the run that is shown`, about.bench_file)] : [];
-  select.replaceChildren(...shown, ...(choices?.benches || []).map((name) => new Option(name, name)));
+  const wanted = select.value;
+  const options = [...shown, ...(choices?.benches || []).map((name) => new Option(name, name))];
+  select.replaceChildren(...options);
+  if (options.some((option) => option.value === wanted)) select.value = wanted;
 }
 
 function showOthers() {
@@ -216,8 +219,8 @@ function showFacts() {
   const { about, status, live, record, verdict } = state;
   const when = valuesWhen();
   const age = when.endsWith("old:") ? `, ${when.replace(" old:", "")} ago` : "";
-  const drive = driveWords(status?.phase || "connecting", status?.ended, live, record);
-  at("drive").textContent = age ? `was ${drive}${age}` : drive;
+  const drive = driveWords(status, live, record);
+  at("drive").textContent = age ? `was ${drive}${age}` : lostMs && going() ? `was ${drive}, last known` : drive;
   const [shown, kind] = headlineOf(going() || !status, status || {}, live, record, verdict);
   const yet = shown === "DONE, NOT JUDGED" && about?.judged ? " YET" : "";
   const words = lostMs && going() ? `${shown}${age.toUpperCase() || ", LAST KNOWN"}` : shown + yet;
@@ -313,8 +316,10 @@ function showPrompt() {
   at("mass-form").hidden = !weight;
   at("go-on").hidden = weight;
   at("repeat").textContent = weight ? "Repeat the stage before" : "Repeat this stage";
-  if (box.dataset.number !== String(prompt.number)) {
-    box.dataset.number = String(prompt.number);
+  // Every program counts its prompts from 1.
+  const number = `${state.run} ${prompt.number}`;
+  if (box.dataset.number !== number) {
+    box.dataset.number = number;
     at("mass").value = "";
   }
 }
@@ -411,7 +416,7 @@ async function command(event, content, done) {
   if (!fresh(event)) return false;
   const run = state.run;
   const answer = await link.post("/command", { run, ...content });
-  if (!answer.ok) say(`Refused: ${answer.words}`, run);
+  if (!answer.ok) say(failure(answer), run);
   else if (run === state.run && !state.status?.ended) say(done, run);
   return answer.ok;
 }
@@ -452,7 +457,7 @@ at("resume").addEventListener("click", async (event) => {
     awaitRun(answer.words);
   } else {
     starting = false;
-    say(`Refused: ${answer.words}`);
+    say(failure(answer));
     showControls();
   }
 });

@@ -1,6 +1,8 @@
 // Starts a run after showing its dry run; and the list of the runs in the folder of this
 // console, with the pages in the run folders.
 
+import { failure } from "./link.js";
+
 const at = (id) => document.getElementById(id);
 const AFTER_MS = 4000; // between two lists after a run has ended: a verdict may follow
 const AFTER_FOR_MS = 300000;
@@ -106,7 +108,7 @@ export class Recorded {
   }
 }
 
-export function setUpStart(link, say, started) {
+export function setUpStart(link, say, started, fresh) {
   let shown = null;
 
   function fill(select, names) {
@@ -136,7 +138,7 @@ export function setUpStart(link, say, started) {
     });
     at("dry-run").disabled = false;
     if (!answer.ok) {
-      say(`Refused: ${answer.words}`);
+      say(failure(answer));
       return;
     }
     say("The dry run is shown under `Start a run`");
@@ -153,10 +155,11 @@ export function setUpStart(link, say, started) {
       : "Start this run on the simulated bench";
     at("dry").scrollIntoView({ block: "nearest" });
   });
-  at("start").addEventListener("click", async () => {
+  at("start").addEventListener("click", async (event) => {
+    if (!fresh(event)) return;
     const answer = await link.post("/start", { shown, typed_bench: at("typed-bench").value });
     if (!answer.ok) {
-      say(`Refused: ${answer.words}`);
+      say(failure(answer));
       return;
     }
     hide();

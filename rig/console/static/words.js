@@ -4,7 +4,7 @@ import { limitWords, shownNumber } from "./charts.js";
 
 export const PHASES = {
   connecting: "The run connects to the bench. Nothing is energised.",
-  load: "The drive is off. The operator hangs the weight and types its mass.",
+  load: "The program proves that the drive is off; then the operator hangs the weight and types its mass.",
   prepare: "The drive is off. The drive's limits are written and read back.",
   enable: "The drive is being energised.",
   "first pass": "The joint moves at low amplitude, under tighter limits.",
@@ -22,12 +22,17 @@ export const PHASES = {
 export const OFF = ["load", "prepare", "between stages", "finished"];
 
 // In phases without power, the run has read back that the drive is off; the last sample is older.
-export function driveWords(phase, over, live, record) {
+// The phase of the weight begins with this proof; its prompt comes after it.
+export function driveWords(status, live, record) {
+  const phase = status?.phase || "connecting";
+  const over = status?.ended;
   if (over && (record?.drive_state || record?.de_energised)) {
     if (!record.de_energised && record.drive_state === "unknown") return "unknown, NOT verified";
     return `${[record.de_energised && "off", record.drive_state].filter(Boolean).join(": ")} (read back)`;
   }
+  if (live?.gone) return "not known: the program ended";
   if (phase === "connecting") return "not read yet";
+  if (!over && phase === "load" && !status.prompt) return "being checked";
   return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
 }
 
@@ -51,9 +56,10 @@ export function activityWords(status) {
 export function headlineOf(going, status, live, record, verdict) {
   if (going) {
     if (live?.silent) return ["NO ANSWER", "bad"];
-    const drive = driveWords(status.phase, false, live, record);
+    const drive = driveWords(status, live, record);
     if (/^(off|switched on)/.test(drive)) return ["OFF", "calm"];
     if (drive.startsWith("ENERGISED")) return ["ENERGISED", "power"];
+    if (drive === "being checked") return ["CHECKING", "calm"];
     return drive === "not read yet" ? ["CONNECTING", "calm"] : [drive.split(/[ :(]/)[0].toUpperCase(), "bad"];
   }
   if (verdict) return verdict.verdict === "accepted" ? ["ACCEPTED", "good"] : ["REJECTED", "bad"];

@@ -9,7 +9,6 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from glob import glob
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
@@ -20,7 +19,7 @@ from identification.numerics.arrays import Progress
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, usable, write_json, write_text
 from rig.common.provenance import sha256_file
-from rig.config.campaign import load_campaign
+from rig.config.campaign import load_campaign, matching_files
 from rig.results.prove.draw import Assigned, assignment, draw
 from rig.results.prove.engine import (
     Bundle,
@@ -451,11 +450,6 @@ def _recordings(campaign: Path) -> list[str]:
         file
         for each in sections
         for pattern in each.patterns
-        # As in a diagnosis: a name that exists is no pattern.
-        for file in (
-            [pattern]
-            if is_file(folder / pattern)
-            else sorted(glob(pattern, root_dir=folder, recursive=True))
-        )
+        for file in matching_files(folder, pattern)
     ]
-    return [Path(file.removesuffix(".gz")).stem for file in files]
+    return [Path(file.name.removesuffix(".gz")).stem for file in files]

@@ -33,6 +33,7 @@ speed and torque give the direction of motion and of the current, torque rises w
 machine warms up with time, and the torque changes most with the acceleration and after reversals.
 """
 REFUSED = "refused"  # verdict of a trial that could not be diagnosed
+NO_ALARM = ("nothing_missing", REFUSED)  # verdicts that do not report missing physics
 
 
 def located(
@@ -57,7 +58,7 @@ def located(
         mismatch; the power curve shows these trials.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
-    if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:
+    if diagnosis["verdict"] in NO_ALARM or where is None:
         return {"equation": None, "coordinate": None, "place": None, "found": None}
     entry = EFFECTS[name]
     fitted = {fit["equation"] for fit in diagnosis["fits"]}
@@ -134,7 +135,7 @@ def row_of(
             names,
             [(e["name"], *e["alias_group"]) for e in found if verdict != "outside_catalogue"],
         ),
-        "alarm": verdict not in ("nothing_missing", REFUSED),
+        "alarm": verdict not in NO_ALARM,
         "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
         "probability": _probability(names, found) if kind in ("one", "two") else None,

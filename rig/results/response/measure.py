@@ -280,6 +280,7 @@ def response_record(found: Response) -> dict[str, Any]:
         "gains": gains_record(found.fitted.gains),
         "gains_misfit": found.fitted.misfit,
         "gains_alike": found.fitted.alike,
+        "ripple_N_m": found.ripple_N_m,
         "margins": {
             name: {
                 **{key: value._asdict() for key, value in each.items()},
@@ -319,8 +320,9 @@ def spectra_record(seen: Spectra) -> dict[str, Any]:
     return record
 
 
-def read_response(path: Path) -> tuple[Spectra, Gains]:
-    """Return spectra and gains of a result of ``rig response``.
+def read_response(path: Path) -> tuple[Spectra, Gains, float | None]:
+    """Return spectra, gains and ripple of the torque (N m; None in an old result) of a result of
+    ``rig response``.
 
     Raises:
         InputError: The file is not such a result.
@@ -335,7 +337,8 @@ def read_response(path: Path) -> tuple[Spectra, Gains]:
             arrays[name] = array[0] + 1j * array[1] if array.ndim == 3 else array
         given = {name: entry["value"] for name, entry in record["gains"].items()}
         known = {name: math.inf if v is None else float(v) for name, v in given.items()}
-        return Spectra(**arrays), Gains(**known)
+        ripple = record.get("ripple_N_m")
+        return Spectra(**arrays), Gains(**known), None if ripple is None else float(ripple)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise InputError(f"{path}: not a result of `rig response` ({error})") from error
 

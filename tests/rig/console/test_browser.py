@@ -145,11 +145,17 @@ def growth(where: Place) -> int:
     return max(files, key=lambda path: path.stat().st_mtime).stat().st_size
 
 
-DRIVE = "m => m.driveWords('release', {}, null, ROW)"
+DRIVE = "m => m.driveWords({ phase: 'release', ended: {} }, null, ROW)"
 WHEN = """m => ((phase, current, silent_s, lost) =>
     m.whenWords(phase, { current, silent: silent_s > 0, silent_s }, lost))(...ROW)"""
 NUMBER = "m => m.shownNumber(ROW, 'deg')"
+STATE = "m => m.driveWords(ROW[0], { drive: 'ENERGISED: enabled', gone: ROW[1] }, null)"
 WORDS: list[tuple[str, str, Any, str]] = [
+    ("words", STATE, [{"phase": "excite"}, False], "ENERGISED: enabled"),
+    ("words", STATE, [{"phase": "load", "prompt": None}, False], "being checked"),
+    ("words", STATE, [{"phase": "load", "prompt": {"number": 1}}, False], "off"),
+    ("words", STATE, [{"phase": "prepare"}, False], "off"),
+    ("words", STATE, [{"phase": "prepare"}, True], "not known: the program ended"),
     ("words", DRIVE, {"de_energised": True, "drive_state": "fault"}, "off: fault (read back)"),
     ("words", DRIVE, {"de_energised": True, "drive_state": None}, "off (read back)"),
     ("words", DRIVE, {"de_energised": False, "drive_state": "enabled"}, "enabled (read back)"),

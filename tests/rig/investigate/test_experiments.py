@@ -72,6 +72,8 @@ def test_weights_are_those_of_the_file_within_the_limits() -> None:
     assert weights(bench.model_copy(update={"weights_kg": (50.0, 5.0, 12.0)})) == (5.0, 12.0)
     assert weights(bench.model_copy(update={"weights_kg": (50.0,)})) == ()
     assert all(0.0 < w < bench.limits.weight_kg for w in weights(bench))
+    limits = bench.limits.model_copy(update={"weight_kg": 13.0})
+    assert weights(bench.model_copy(update={"weights_kg": (13.0,), "limits": limits})) == (13.0,)
 
 
 def test_a_weight_is_hung_once_and_costs_the_operator_s_time() -> None:
@@ -81,7 +83,7 @@ def test_a_weight_is_hung_once_and_costs_the_operator_s_time() -> None:
     assert [s.weight_kg for s in document.value.stages] == [0.0, 10.0, 10.0]
     assert weight_changes(document.value.stages) == 1
     plan = make_plan(document, load_bench("practical"))
-    hands = START_S + HANG_S + 2 * CONFIRM_S
+    hands = START_S + 2 * HANG_S + 2 * CONFIRM_S  # the weight is taken off for the next run
     assert plan.duration_s + hands <= bench_seconds(plan) < plan.duration_s + hands + 10.0
 
 

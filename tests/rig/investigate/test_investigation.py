@@ -89,6 +89,7 @@ class World:
     only: str = ""
     empty: tuple[str, ...] = ()
     held: tuple[float, ...] = ()
+    unmoved: tuple[str, ...] = ()
     moments: int = 0
     outside: Callable[[int], float] = lambda _: 0.01
     ran: list[str] = field(default_factory=list)
@@ -170,7 +171,8 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
     def record(folder: Path) -> Any:
         found = json.loads((folder / "run.json").read_text())
         stage = SimpleNamespace(name="wide-slow-unloaded", state=found)
-        return SimpleNamespace(state=found, stages=[stage])
+        segments = [] if folder.name in made.unmoved else [stage]
+        return SimpleNamespace(state=found, stages=[stage], segments=segments)
 
     def read(folders: list[Path]) -> list[Path]:
         if not [f for f in folders if f.name not in made.empty]:
@@ -244,6 +246,37 @@ def test_a_pair_is_given_up_after_two_experiments_in_vain(world: World) -> None:
     world.begin(state).run()
     assert purposes(state).count("separate") == VAIN
     assert str(VAIN) in state.cannot_separate[0]["why"]
+
+
+def test_an_experiment_that_never_moved_is_not_in_vain(world: World) -> None:
+    world.per_run, world.unmoved = 0.0, ("02-separate",)
+    state = new()
+    world.begin(state).run()
+    unmoved, moved = (
+        [e for e in state.experiments if (e.run in world.unmoved) is first]
+        for first in (True, False)
+    )
+    assert [e.odds for e in unmoved] == [{}]
+    assert [e.purpose for e in moved].count("separate") == VAIN
+
+
+def test_a_failed_prediction_makes_no_pair_one_in_vain() -> None:
+    e = [loop.Experiment("", "", "", 0.0, 0, "done", levels={"a": 0, "b": 1}) for _ in range(4)]
+    for each in e[1:3]:
+        each.expected = {loop.joined("a", "b"): 3.0}
+    e[3].purpose = "refute"
+    assert new(experiments=e[:3]).given_up("a", "b")
+    assert not new(experiments=e).given_up("a", "b")
+
+
+def test_a_budget_that_is_too_short_is_the_reason(world: World) -> None:
+    patched = Choice(None, {}, late=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "propose", lambda *_: patched)
+        state = new(budget_min=30.0)
+        world.begin(state).run()
+    assert "left of the budget" in state.ended
+    assert {each["why"] for each in state.cannot_separate} == {state.ended}
 
 
 @pytest.mark.parametrize(("only", "repeats"), [("01-first", ["01-first"]), ("a run", [])])
@@ -411,6 +444,8 @@ def test_a_prediction_that_was_changed_is_refused(world: World) -> None:
         (("figure10", "slow_ramp"), "slow_ramp"),
         (("nowhere",), "nowhere"),
         (("--resume",), loop.STATE_FILE),
+        (("--resume", "--question", "cogging"), "--question"),
+        (("--resume", "figure10"), "leave"),
         (("--confirm", "missing.json"), "missing.json"),
     ],
 )
