@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from rig.common.places import require_file
 from rig.common.text import valid
@@ -167,3 +168,20 @@ def reset_fault(more: str = "") -> Decorator:
     return flag(
         "--reset-fault", "Clear a fault of the drive; remove the cause of the fault first." + more
     )
+
+
+def require_not_given(names: Collection[str], why: str) -> None:
+    """Refuse options of the present command that were typed, by the names of its arguments.
+
+    Raises:
+        click.UsageError: One of them was typed; ``why`` ends the message.
+    """
+    context = click.get_current_context()
+    typed = ParameterSource.COMMANDLINE
+    given = [
+        each.opts[0]
+        for each in context.command.params
+        if each.name in names and context.get_parameter_source(each.name) is typed
+    ]
+    if given:
+        raise click.UsageError(f"{', '.join(given)}: {why}")

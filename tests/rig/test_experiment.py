@@ -79,6 +79,19 @@ def result(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("--plan", "figure10", "--ladder", "--seed", "1"), "--ladder, --seed"),
+        (("--plan", "figure10", "--method", "paper"), "--method"),
+        ((".", "--nominal", "r.json", "--bench", "b.yaml"), "--bench, --nominal"),
+    ],
+)
+def test_an_option_without_effect_is_refused(words, option, capsys) -> None:
+    assert status(["identify", *words]) == 2
+    assert f"{option}:" in capsys.readouterr().err
+
+
 def test_an_undetermined_parameter_has_its_default_value(tmp_path: Path) -> None:
     path = result(tmp_path)
     record = json.loads(path.read_text())

@@ -20,6 +20,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
 }
 
 
+_OF_PLAN = ("bench", "nominal", "current_noise")
 _OF_ONE_UNIT = ("ladder", "score", "profile", "draws")
 
 
@@ -123,9 +124,12 @@ def identify(
             "give either SOURCE, the recordings, or --plan SEQUENCE, a planned experiment"
         )
     if sequence is not None:
+        unused = {"method", "compared", "bandwidth", "seed", *options}
+        shared.require_not_given(unused, "identifies recordings; leave it out with --plan")
         _plan(sequence, bench, nominal, current_noise, out, json_file)
         return
     assert source is not None
+    shared.require_not_given(_OF_PLAN, "belongs to --plan SEQUENCE, which is not given")
     if compared and method == "paper":
         raise click.UsageError(
             "--compare compares the other methods with the default method; leave out --method paper"
