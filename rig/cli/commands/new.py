@@ -138,7 +138,7 @@ BENCH: Final = (
         "servo_eds",
         "EDS file of the drive, from its maker, relative to the bench file",
         kind=click.STRING,
-        when=_real,
+        when=lambda a: _real(a) and a["drive"] != "dbc",
     ),
     Question(
         "encoder_eds",
@@ -379,7 +379,16 @@ def _name(path: Path) -> str:
 
 
 def _bench_values(name: str, answers: Answers) -> dict[str, Any]:
-    """Return the values for the template of a bench file."""
+    """Return the values for the template of a bench file.
+
+    Raises:
+        RefusedError: The drive is a real one with frames of its own, whose signals nobody asked.
+    """
+    if _real(answers) and answers["drive"] == "dbc":
+        raise RefusedError(
+            "--devices real: the signals of a drive of kind dbc are not known; give --devices "
+            "simulated, then replace bus, DBC file and signals in the file"
+        )
     real, heaviest = _real(answers), max(answers["weights"], default=0.0)
     values: dict[str, Any] = {
         "interface": "mock",

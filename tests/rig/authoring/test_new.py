@@ -70,6 +70,13 @@ def test_the_small_bench_runs_at_once(drive: str) -> None:
     assert [r.weight_mass for r in load_run(Path("run")).recordings] == [0, 2, 5]
 
 
+def test_a_real_drive_of_own_frames_is_refused_with_the_way_to_it(capsys) -> None:
+    real = ("--drive", "dbc", "--devices", "real", "--encoder-eds", "e.eds")
+    assert new("bench", "bench.yaml", *real, *SMALL) == 2
+    assert "--devices simulated" in capsys.readouterr().err
+    assert not Path("bench.yaml").exists()
+
+
 def test_every_key_is_explained_with_unit_and_default() -> None:
     assert new("bench", "b.yaml", *SMALL) == 0
     lines = Path("b.yaml").read_text().splitlines()
