@@ -15,7 +15,7 @@ import numpy as np
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.planning.predicted_load import friction_model
+from rig.planning.predicted_load import FrictionModel, friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
 from rig.runs.decimation import Decimation
 from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_TOPIC, decode_samples
@@ -174,13 +174,18 @@ class TorqueSpeed:
             self.version += 1
 
 
-def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
-    """Return friction curves by the newest identification beside the run folder, or None."""
+def measured_friction(record: RunRecord, folder: Path) -> FrictionModel | None:
+    """Return the friction by the newest identification of the bench beside the run folder."""
     try:
         model = friction_model(recorded_bench(record), runs=folder.parent)
     except InputError:
         return None
-    if not model.measured:
+    return model if model.measured else None
+
+
+def curves(record: RunRecord, model: FrictionModel | None) -> dict[str, Any] | None:
+    """Return friction curves under the masses of a run, or None without a model."""
+    if model is None:
         return None
     speeds = np.linspace(0.0, 2.0, _SPEEDS)[1:]
     system = system_friction(speeds, model.values, model.alpha)
@@ -277,6 +282,7 @@ class Followed(Reached):
         self._stamp: tuple[int, int] | None = None
         self._judged: object = None
         self._masses: object = None
+        self._friction: FrictionModel | None = None
         self._growing: Growing | None = None
         self._part = self._parts = 0
         self._sampled = False
@@ -345,6 +351,9 @@ class Followed(Reached):
             return
         if len(record.parts) < self._parts:
             return  # the folder was used again for another run
+        if self.record is None:
+            # All results beside the run are read: once, before anything moves.
+            self._friction = measured_friction(record, self.folder)
         self.record, self._stamp = record, stamp
         if not self._parts or not self.closed:
             # Later recordings are those of another program, which continues the run.
@@ -352,7 +361,7 @@ class Followed(Reached):
         masses = [stage.confirmed_kg for stage in record.stages]
         if masses != self._masses:
             self._masses = masses
-            self.curves = curves(record, self.folder)
+            self.curves = curves(record, self._friction)
 
     def _read_recording(self) -> bool:
         if self.record is None:

@@ -18,7 +18,17 @@ from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
 from rig.common.provenance import IDENTIFY_SCHEMA, RESULT_FILE
 from rig.common.sample import Sample
-from rig.console.followed import BLOCK, CHANNELS, DEG, MOST, Followed, Growing, TorqueSpeed, curves
+from rig.console.followed import (
+    BLOCK,
+    CHANNELS,
+    DEG,
+    MOST,
+    Followed,
+    Growing,
+    TorqueSpeed,
+    curves,
+    measured_friction,
+)
 from rig.control.remote import RunProgress
 from rig.runs.decimation import KEPT, Decimation
 from rig.runs.mcap.reader import read_run
@@ -226,7 +236,7 @@ def test_points_are_means_within_one_excitation() -> None:
 
 def test_the_curve_is_that_of_an_identification_of_this_bench(runner: Any, fake_bench: Any) -> None:
     folder, _ = runner(fake_bench())
-    assert curves(folder.record, folder.path) is None
+    assert curves(folder.record, measured_friction(folder.record, folder.path)) is None
     result = {
         "schema": IDENTIFY_SCHEMA,
         "motion": "rotary",
@@ -234,7 +244,7 @@ def test_the_curve_is_that_of_an_identification_of_this_bench(runner: Any, fake_
         "alpha": 2.0,
     }
     (folder.path / RESULT_FILE).write_text(json.dumps(result))
-    found = curves(folder.record, folder.path)
+    found = curves(folder.record, measured_friction(folder.record, folder.path))
     assert [line["mass_kg"] for line in found["lines"]] == [0, 10]
     light, heavy = (np.array(line["torque"]) for line in found["lines"])
     assert np.all(heavy > light)
