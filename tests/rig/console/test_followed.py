@@ -150,6 +150,18 @@ def told(run: Followed, phase: str) -> dict[str, Any]:
     return found
 
 
+def test_a_folder_that_is_used_again_for_another_run_keeps_the_old_one_on_the_page(stopped, resume):
+    before = (stopped / "run.json").read_bytes()
+    resume()
+    run = followed(stopped, gone=True)
+    read_all(run)
+    assert run.begun is not None
+    (stopped / "run.json").write_bytes(before)
+    read_all(run)
+    assert run.begun is not None
+    assert run.parts()["record"][1] is not None
+
+
 def test_values_of_the_time_before_a_stop_are_never_current(stopped, resume, monkeypatch):
     run = followed(stopped)
     # The program that continues the run connects; its recording does not exist yet.

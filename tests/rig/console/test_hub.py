@@ -39,6 +39,8 @@ class Desk:
     def __init__(self, root: Path) -> None:
         self.hub = Hub(Starter(("practical",), root))
         self.hub._links.close()
+        # Programs of other tests are none of this one.
+        self.hub._links.runs = list  # type: ignore[method-assign]
         self.page = self.hub.controls.open()
         self.console = Console(self.hub, Token(), frozenset())
 
@@ -250,6 +252,19 @@ def test_a_stop_names_what_did_not_confirm_it(desk: Desk, monkeypatch: pytest.Mo
         desk.press()
     assert refused.value.details == {"unconfirmed": ["one"]}
     assert sent.stopped == ["one", "two"]
+
+
+def test_a_program_that_has_not_answered_yet_leaves_a_stop_unconfirmed(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that connects to its bench is known only when it answers."""
+    monkeypatch.setattr(desk.hub._links, "runs", lambda: ["/late.sock"])
+    monkeypatch.setattr(desk.hub._links, "ask", lambda *_: None)
+    with pytest.raises(Refusal, match="1 more"):
+        desk.press(desk.page)
+    desk.reached("late", bench="b")
+    sent = Sent(desk, monkeypatch)
+    assert desk.press(desk.page)["stopped"] == sent.stopped == ["late"]
 
 
 def test_programs_on_other_benches_are_not_stopped(desk, monkeypatch):
