@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import shutil
 import signal
 import sys
 from contextlib import closing
@@ -32,6 +33,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
+from rig.wiring.connect import device_files
 from rig.wiring.teardown import SafeState
 
 from .benches import variant
@@ -256,6 +258,17 @@ def test_a_quick_stop_that_is_slower_than_promised_is_found(here, monkeypatch):
     last = record["sessions"][0][-1]
     assert (ended, last["name"], last["verdict"]) == (1, "stop", "wrong")
     assert "6085h" in last["words"]
+
+
+def test_a_new_bench_file_is_not_written_where_its_files_are_not(here, capsys):
+    source = Path(device_files(load_bench("practical"))["servo.eds"])
+    shutil.copy(source, "own.eds")
+    variant(here, ("servo: {node: 1", "servo: {eds: own.eds, node: 1"))
+    Path("other").mkdir()
+    words = ["commission", "bench.yaml", "--yes", "--out", "out", "--bench-out", "other/b.yaml"]
+    assert status(words) == 2
+    assert "own.eds" in capsys.readouterr().err
+    assert not Path("out").exists()
 
 
 def test_the_angle_of_the_command_line_is_that_of_the_start(here, monkeypatch):

@@ -57,6 +57,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
+from rig.wiring.connect import device_files
 from rig.wiring.devices import Devices, bench_line, say_taken_over, unprotected
 from rig.wiring.preflight import require_startable
 
@@ -173,6 +174,13 @@ def commission(
     require_file(new_file if bench_out else None, "--bench-out")
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
+    place = document.path.parent
+    near = [str(f) for f in device_files(document).values() if f.is_relative_to(place)]
+    if near and new_file.resolve().parent != place.resolve():
+        raise InputError(
+            f"--bench-out: the bench names files relative to its own folder ({', '.join(near)}); "
+            f"give a name in {place}"
+        )
     home = _home(document, home_method, home_deg, home_time_s)
     screen = Screen()
     screen.silence()
