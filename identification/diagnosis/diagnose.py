@@ -6,6 +6,7 @@ effects are accepted, and the errors of the corrected model are computed on them
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from time import perf_counter
@@ -20,7 +21,7 @@ from identification.diagnosis.held_out import (
     validation_rms,
     with_indistinct_effects,
 )
-from identification.diagnosis.joint import Joint
+from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.judgement import (
     Judged,
     effects_of,
@@ -119,15 +120,28 @@ def diagnose(
         inspect(first)
     task = _Task(everything, dataset, first, bandwidth, estimate, rng, report)
     here, aside, found, judged = _searches(task, terms)
+    trusting = trusted(aside, (*here, *aside))
+    if judged.verdict is Verdict.NOTHING_MISSING and _missing_aside(task, found.baseline, trusting):
+        again = _all_fitted(everything, {v.recording.name for v in trusting})
+        return _found_aside(
+            diagnose(
+                again,
+                bandwidth_Hz=bandwidth_Hz,
+                rng=rng,
+                progress=progress,
+                searched=searched,
+                estimate=estimate,
+                effects=effects,
+            )
+        )
     if searched is not None:
         searched(found)
     report("identifying the nominal parameters", 0.96)
     nominal, more = _nominal_constants(task, found)
     identified = effects_of(found, rng) if judged.verdict in IDENTIFIED else ()
     shown = _shown(task, found, nominal, judged, identified)
-    trusting = trusted(aside, (*here, *aside))
     judging = _judging(shown, {v.recording.name for v in trusting})
-    left = floors_left(_with_own_starts(judging.main, found, trusting))
+    left = _left(_with_own_starts(judging.main, found, trusting), found, trusting)
     if (doubt := _doubt(judging, judged, left)) is not None:
         where = judged.where or place_of(found, judged.maps)
         names = tuple(e.name for e in identified)
@@ -198,7 +212,11 @@ def _part_of(effects: Sequence[IdentifiedEffect]) -> tuple[IdentifiedEffect, ...
     """Return effects that are a part of a mismatch with a lower confidence: what else is missing
     may be what they imitate.
     """
-    most = RULES.part_confidence
+    return _with_at_most(effects, RULES.part_confidence)
+
+
+def _with_at_most(effects: Sequence[IdentifiedEffect], most: float) -> tuple[IdentifiedEffect, ...]:
+    """Return effects and rivals with a bounded confidence."""
     return tuple(
         replace(
             e,
@@ -288,6 +306,82 @@ def _with_own_starts(main: Fit, found: Search, aside: Sequence[View]) -> Fit:
     return replace(main, validate_final_rms=min(main.validate_final_rms, fitted))
 
 
+def _left(main: Fit, found: Search, aside: Sequence[View]) -> float:
+    """Return :func:`floors_left`, at most that of one fit of the same model to all recordings.
+
+    Recordings set aside may show what the fitted ones do not determine, such as the static friction
+    of a slow motion: an error that other constants explain is no further physics.
+    """
+    left, final = floors_left(main), found.final
+    if left <= RULES.floors_left or not aside or not final.effects:
+        return left
+    try:
+        together = fit(_all_views(final, aside), final.unit, final.nominal, final.effects)
+    except RecordingError:
+        return left
+    fitted, unseen = _errors_of(together, main.equation, len(final.views))
+    best = replace(main, final_rms=fitted, validate_final_rms=unseen)
+    return min(left, floors_left(best))
+
+
+def _all_views(joint: Joint, aside: Sequence[View]) -> tuple[View, ...]:
+    """Return the views of a fit and those set aside as further recordings of one fit."""
+    count = len(joint.views)
+    return (*joint.views, *(replace(v, index=count + k) for k, v in enumerate(aside)))
+
+
+def _errors_of(joint: Joint, name: str, count: int) -> tuple[float, float]:
+    """Return the rms error of an equation in the first ``count`` recordings and in the others."""
+    part = next((e for e in joint.stack.equations if e.name == name), None)
+    if part is None:
+        return 0.0, 0.0
+    rows = part.sigma * joint.residual[joint.stack.part(name)]
+    other = part.owner >= count
+    fitted, unseen = (
+        float(np.sqrt(np.mean(rows[mine] ** 2))) if np.any(mine) else 0.0
+        for mine in ((part.owner >= 0) & ~other, other)
+    )
+    return fitted, unseen
+
+
+def _missing_aside(task: _Task, baseline: Joint, aside: Sequence[View]) -> bool:
+    """Return whether recordings set aside show a mismatch that no constants explain, although the
+    fitted ones do not.
+    """
+    name = "torque"
+    sigma = next((e.sigma for e in baseline.equations if e.name == name), math.inf)
+    most = RULES.floors * sigma
+    if not aside or not validation_rms(baseline, aside).get(name, 0.0) > most:
+        return False
+    every, model = _all_views(baseline, aside), task.dataset.model
+    try:
+        together = fit_from_estimate(every, baseline.unit, baseline.nominal, model)
+    except RecordingError:
+        return False
+    return _errors_of(together, name, len(baseline.views))[1] > most
+
+
+def _all_fitted(dataset: Dataset, names: Collection[str]) -> Dataset:
+    """Return a dataset in which the named recordings are fitted too."""
+    recordings = tuple(replace(r, role="fit") if r.name in names else r for r in dataset.recordings)
+    return replace(dataset, recordings=recordings)
+
+
+def _found_aside(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis of recordings that were set aside first: no recording is left to test its
+    names.
+    """
+    return replace(
+        found,
+        effects=_with_at_most(found.effects, RULES.undecided_confidence),
+        warnings=(
+            "the fitted recordings alone show no mismatch; those set aside do, and were fitted "
+            "too, so that no recording is left to test the effects",
+            *found.warnings,
+        ),
+    )
+
+
 def _doubt(shown: _Shown, judged: Judged, left: float) -> Kind | None:
     """Return why the reported model contradicts its verdict, or None if it does not.
 
@@ -307,11 +401,11 @@ def _doubt(shown: _Shown, judged: Judged, left: float) -> Kind | None:
     if torque is not None and (torque.relative or 0.0) ** 2 > 1.0 - RULES.explained:
         return Kind.MISFIT
     hidden = judged.reason is not None and judged.reason.kind is Kind.BETWEEN_SAMPLES
-    for fit in shown.fits:
-        if fit.equation in AT_INSTANTS or (hidden and fit.equation == "voltage"):
+    for each in shown.fits:
+        if each.equation in AT_INSTANTS or (hidden and each.equation == "voltage"):
             continue
-        least = min(fit.baseline_rms, fit.nominal_within_limits_rms or fit.baseline_rms)
-        if least > RULES.floors * fit.noise_floor_rms:
+        least = min(each.baseline_rms, each.nominal_within_limits_rms or each.baseline_rms)
+        if least > RULES.floors * each.noise_floor_rms:
             return Kind.MISFIT
     return None
 

@@ -12,6 +12,7 @@ from identification.diagnosis.comparison import Contender, Round
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.judgement import confidence_of
 from identification.diagnosis.result import Diagnosis, Verdict
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.within_limits import choose
 from identification.effects import MOTION
 from identification.recording import Dataset, Model, Recording, RecordingError
@@ -63,6 +64,21 @@ def test_what_is_hidden_is_named_and_sized(name, parameters, equation):
     assert found.fit.final_rms < 0.2 * found.fit.baseline_rms
     assert found.fit.validate_baseline_rms is not None
     assert found.fit.validate_final_rms < 0.5 * found.fit.validate_baseline_rms
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_recordings_set_aside_that_show_a_mismatch_are_fitted_too(hidden: bool) -> None:
+    """With one weight alone a wrong exponent of the load is another friction."""
+    effects = {"load_exponent": {"exponent": 0.8}} if hidden else {}
+    tones = [motion for _, motion, _ in FEW]
+    masses = ((0.0, "fit"), (20.0, "fit"), (30.6, "validate"), (8.0, "validate"))
+    plan = [(m, tone, role) for (m, role), tone in zip(masses, tones, strict=True)]
+    found = of(campaign(effects, 2, 6.0, plan))
+    assert (found.verdict is Verdict.NOTHING_MISSING) is not hidden
+    if hidden:
+        assert "load_exponent" in found.effects[0].alias_group
+        assert all(e.confidence <= RULES.undecided_confidence for e in found.effects)
+        assert found.fit.validate_final_rms is None
 
 
 def test_what_is_declared_is_not_found() -> None:

@@ -42,7 +42,7 @@ from identification.recording import Array, Dataset, Recording
 from identification.views.predicted import Predicted
 from identification.views.view import View, views
 
-from .benches import PLAN, campaign, honest, ladder, nominal_fit, with_torque
+from .benches import FEW, PLAN, campaign, honest, ladder, nominal_fit, with_torque
 
 NAME = "asymmetric_coulomb"
 FAINT_N_M, UNSEEN = 0.002, 1.4
@@ -513,3 +513,19 @@ def test_an_effect_without_a_state_at_the_start_is_judged_by_the_printed_error()
     views: Any = [SimpleNamespace(recording=SimpleNamespace(session="", span=(0.0, 1.0)))] * 2
     errors = Fit("torque", "N m", 25.0, 1.0, 0.1, 0.01, 1.0, 0.1)
     assert diagnosing._with_own_starts(errors, search, views) is errors
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_what_other_constants_explain_in_recordings_set_aside_is_no_further_physics(hidden) -> None:
+    every = campaign({"asymmetric_coulomb": {"torque_Nm": 0.6}}, 2, 6.0, FEW)
+    if hidden:
+        every = (*every[:-1], *with_torque(every[-1:], lambda q, w, t: 0.8 * np.sin(20.0 * t)))
+    joint = nominal_fit(every)
+    added = Added(TERM["asymmetric_coulomb"], (), (0.6,))
+    final = fit(joint.views, "N m", joint.nominal, (added,), joint)
+    aside = views(every[-1:], 25.0, campaign=every)
+    search: Any = SimpleNamespace(final=final)
+    errors = Fit("torque", "N m", 25.0, 0.4, 0.02, 0.02, 0.5, 0.5)
+    assert reasons.floors_left(errors) == pytest.approx(25.0)
+    left = diagnosing._left(errors, search, aside)
+    assert (left > RULES.floors_left) is hidden
