@@ -116,6 +116,8 @@ class Margins:
         highest_Hz: Highest line, up to which crossings are seen.
         roll_off_dB: Gain below 1 at the highest line: without a crossing of -180 deg, and if the
             gain falls from there on, the gain margin is at least this.
+        stable: Whether the closed loop is stable, by the turns of the open loop around -1; None if
+            the gain is above 1 at the highest line.
     """
 
     phase_deg: float | None
@@ -124,6 +126,7 @@ class Margins:
     phase_crossing_Hz: float | None
     highest_Hz: float
     roll_off_dB: float
+    stable: bool | None
 
     def values(self) -> dict[str, float | None]:
         """Return the four values that have an interval, by name."""
@@ -131,11 +134,11 @@ class Margins:
         return {name: getattr(self, name) for name in names}
 
     def reach(self, phase_deg: float, gain_dB: float, unseen_dB: float = 0.0) -> bool:
-        """Whether both margins are known to be at least these.
+        """Whether the closed loop is known to be stable, and both margins to be at least these.
 
         ``unseen_dB``: gain that a resonance beyond the lines may have.
         """
-        if self.phase_deg is None:
+        if self.phase_deg is None or not self.stable:
             return False
         least = self.roll_off_dB - unseen_dB if self.gain_dB is None else self.gain_dB
         return self.phase_deg >= phase_deg and least >= gain_dB
@@ -164,7 +167,17 @@ def margins(loop: OpenLoop) -> Margins:
     near = [(at, (m + 180.0) % 360.0 - 180.0) for at, m in crossings]
     least = min(near, key=lambda each: abs(each[1]), default=(None, None))
     first = min(passes, key=lambda each: each[1], default=(None, None))
-    return Margins(least[1], least[0], first[1], first[0], float(f[-1]), -float(gain[-1]))
+    stable = None if gain[-1] > 0.0 else _turns(gain, phase) == 0
+    return Margins(least[1], least[0], first[1], first[0], float(f[-1]), -float(gain[-1]), stable)
+
+
+def _turns(gain: Array, phase: Array) -> int:
+    """Return by how many turns an open loop encircles -1, by its crossings of the phase -180 deg at
+    gains above 1; integrators lead from the phase 0 to the first line.
+    """
+    sheet, loud = np.floor((phase + 180.0) / 360.0), gain > 0.0
+    both = loud[1:] & loud[:-1]
+    return int(sheet[0] * loud[0] + np.sum(np.diff(sheet)[both]))
 
 
 def _dense(loop: OpenLoop) -> tuple[Array, Array, Array]:
@@ -172,8 +185,8 @@ def _dense(loop: OpenLoop) -> tuple[Array, Array, Array]:
     at = np.log(loop.frequency_Hz)
     gain = 20.0 * np.log10(np.abs(loop.response))
     angle = np.angle(loop.response)
-    # The first line has a phase between -270 and 90 deg.
-    start = angle[0] - (2.0 * np.pi if angle[0] > 0.5 * np.pi else 0.0)
+    # The first line has a phase between -315 and 45 deg.
+    start = angle[0] - (2.0 * np.pi if angle[0] > 0.25 * np.pi else 0.0)
     phase = np.degrees(np.unwrap(np.concatenate([[start], angle[1:]])))
     if len(at) < _LEAST_LINES:
         return loop.frequency_Hz, gain, phase
@@ -846,15 +859,29 @@ def propose(seen: Spectra, old: Gains, wanted: Wanted) -> Proposal:
         loop = with_gains(seen, old, found)["position"]
         highest = margins(loop).crossover_Hz
         assert highest is not None
+        f, gain, _ = _dense(loop)
         if highest < wanted.bandwidth_Hz:
             problem = f"with these margins the position loop reaches {highest:.3g} Hz"
+        elif wanted.bandwidth_Hz < f[0]:
+            problem = f"the lowest certain line of the position loop is at {f[0]:.3g} Hz"
         else:
             # The gain of the position loop at its new crossover must be one.
-            f, gain, _ = _dense(loop)
             down = 10.0 ** (-float(np.interp(wanted.bandwidth_Hz, f, gain)) / 20.0)
             found = dataclasses.replace(found, position=found.position * down)
     known = {name: margins(loop) for name, loop in with_gains(seen, old, found).items()}
+    lacking = [name for name, each in known.items() if _lacks(name, each, wanted)]
+    if lacking and not problem:
+        problem = f"with these gains the wanted margins are missing: {', '.join(lacking)}"
     return Proposal(found, known, problem)
+
+
+def _lacks(name: str, found: Margins, wanted: Wanted) -> bool:
+    """Whether a loop is not known to have the wanted margins; of a speed loop whose crossover is
+    not among the lines only the gain margin is known.
+    """
+    if name == "speed" and found.phase_deg is None:
+        return found.gain_dB is not None and found.gain_dB < wanted.gain_dB
+    return not found.reach(wanted.phase_deg, wanted.gain_dB)
 
 
 def _speed_candidates(seen: Spectra, old: Gains) -> Iterator[Gains]:

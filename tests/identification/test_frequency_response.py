@@ -47,6 +47,29 @@ def test_margin_of_a_second_order_loop(natural_Hz: float, damping: float) -> Non
     assert found.gain_dB is None
 
 
+@given(st.floats(2.0, 40.0), st.floats(2.0, 12.0))
+def test_stability_of_a_delayed_integrator(crossover_Hz: float, delay_ms: float) -> None:
+    crossover, delay = 2.0 * math.pi * crossover_Hz, delay_ms * 1e-3
+    found = fr.margins(delayed_integrator(crossover, delay))
+    if abs(crossover * delay - 0.5 * math.pi) > 0.05:
+        assert found.stable is (crossover * delay < 0.5 * math.pi)
+
+
+def test_an_unstable_loop_has_no_margins_by_a_further_turn() -> None:
+    # The phase at gain 1 is -440 deg: with a turn more, a margin of 100 deg.
+    delay = math.radians(350.0) / (2.0 * math.pi * 30.0)
+    found = fr.margins(delayed_integrator(2.0 * math.pi * 30.0, delay))
+    assert found.phase_deg == pytest.approx(100.0, abs=3.0)
+    assert found.stable is False
+    assert not found.reach(60.0, 3.0)
+    # A loop whose phase is below -180 deg only where its gain is high is stable; with a
+    # hundredth of the gain it is not.
+    lead = (S + 20.0) ** 2 / S**3
+    for factor, stable in ((100.0, True), (1.0, False)):
+        assert fr.margins(OpenLoop(LINES, factor * lead)).stable is stable
+    assert fr.margins(OpenLoop(LINES, 1e5 * lead)).stable is None
+
+
 def test_a_margin_read_off_a_closed_loop_is_refused() -> None:
     # The phase of the closed loop where its gain falls below 1 is no margin: it says 163 deg where
     # 78 deg are true.
@@ -124,6 +147,23 @@ def test_a_bandwidth_is_met_or_said_to_be_out_of_reach() -> None:
     assert slow.margins["position"].crossover_Hz == pytest.approx(5.0, rel=0.01)
     assert not slow.problem
     assert fr.propose(seen, GAINS, Wanted(60.0, 8.0, 100.0)).problem
+
+
+def test_a_bandwidth_below_the_lines_is_out_of_reach() -> None:
+    seen = fr.modelled(LINES, GAINS, PLANT)
+    assert fr.propose(seen, GAINS, Wanted(60.0, 8.0, 0.9 * LINES[0])).problem
+    assert not fr.propose(seen, GAINS, Wanted(60.0, 8.0, 1.1 * LINES[0])).problem
+
+
+def test_a_speed_loop_without_the_wanted_margins_is_a_problem() -> None:
+    # At a resonance of 80 Hz the speed loop lacks its margins with every gain that is tried.
+    gains, at = Gains(5.0, 60.0, 2.0, 0.5, 2e-3), 160.0 * math.pi
+    resonance = 1.0 + 0.5 * S**2 / (S**2 + 0.2 * at * S + at**2)
+    plant = fr.rigid_plant(LINES, 0.2, 50.0) * resonance
+    found = fr.propose(fr.modelled(LINES, gains, plant), gains, Wanted(60.0, 10.0))
+    assert found.margins["position"].reach(60.0, 10.0)
+    assert found.margins["speed"].phase_deg == pytest.approx(39.1, abs=0.1)
+    assert found.problem
 
 
 def test_step_of_a_first_order_loop() -> None:
