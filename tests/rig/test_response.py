@@ -1,13 +1,16 @@
 """`rig response` and `rig tune` as the user runs them, on simulated benches."""
 
+import dataclasses
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from identification.simulation import frequency_response as fr
 from identification.simulation.frequency_response import Gains
 from rig.cli.entry import status
 from rig.common.errors import InputError
@@ -17,7 +20,7 @@ from rig.planning.plan import make_plan
 from rig.planning.predicted_load import friction_model
 from rig.results.response import tuning
 from rig.results.response.excitation import LARGE, QUIET, SMALL, excitation
-from rig.results.response.measure import loop_place, read_response
+from rig.results.response.measure import gains_record, loop_place, read_response
 from rig.runs.run import bench_constants
 
 from ..long.response import Truth, dense
@@ -198,6 +201,64 @@ def test_gains_of_the_program_are_in_the_bench_file(tmp_path: Path) -> None:
     assert stated.speed == pytest.approx(0.5 * old.speed, rel=1e-5)
     half = tuning.between(old, new, 0.5)
     assert half.position == pytest.approx(2.0**0.5 * old.position)
+
+
+def test_a_reset_of_zero_becomes_the_new_one(tmp_path: Path) -> None:
+    document = load_bench(variant(tmp_path, ("integral_1_s: 60", "integral_1_s: 0"), count=1))
+    place = loop_place(document)
+    assert place.stated is not None
+    assert place.stated.reset == 0.0
+    new = dataclasses.replace(place.stated, reset=12.0)
+    path = tmp_path / "tuned.yaml"
+    path.write_text(tuning.with_gains(document, place, place.stated, new))
+    assert loop_place(load_bench(path)).stated == new
+
+
+def test_a_response_of_another_bench_place_or_gains_is_refused(
+    measured: Path, tmp_path: Path
+) -> None:
+    def tuned(bench: Path, result: Path) -> int:
+        words = ["tune", str(bench), "--result", str(result), "--out", str(tmp_path / "out")]
+        return status(words)
+
+    record = read(measured / "response.json")
+    result = tmp_path / "response.json"
+    for change in ({"bench": "another"}, {"loop_closed_by": "torque"}):
+        result.write_text(json.dumps(record | change))
+        assert tuned(measured / "bench.yaml", result) == 2
+    # The gains of a loop that this program closes are those of the bench file.
+    host = variant(tmp_path, ("servo: {", HOST))
+    stated = loop_place(load_bench(host)).stated
+    assert stated is not None
+    for gains, refused in ((stated, False), (dataclasses.replace(stated, position=9.0), True)):
+        held = {"loop_closed_by": "torque", "gains": gains_record(gains)}
+        result.write_text(json.dumps(record | held))
+        assert (tuned(host, result) == 2) is refused
+
+
+@pytest.mark.parametrize("old", [Gains(25.0), Gains(25.0, 30.0)])
+def test_a_grown_ripple_is_an_oscillation_with_and_without_a_speed_gain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: Gains
+) -> None:
+    from rig.cli.commands import response
+
+    bench = load_bench(variant(tmp_path))
+    seen = fr.modelled(np.geomspace(0.5, 200.0, 24), old, np.full(24, 1.0 + 0.0j))
+    new = dataclasses.replace(old, position=2.0 * old.position, speed=2.0 * old.speed)
+    phase = 60.0
+    monkeypatch.setattr(fr, "margins", lambda loop: SimpleNamespace(phase_deg=phase))
+    margin = {"position": {"phase_deg": fr.Estimate(phase, None, None)}}
+    found = SimpleNamespace(seen=seen, old=old)
+
+    def why(ripple: float) -> str:
+        measured = SimpleNamespace(margins=margin, ripple_N_m=ripple)
+        monkeypatch.setattr(response, "_measure", lambda *_, **__: (0, measured))
+        arguments = (tmp_path / "tuned.yaml", bench.path.read_text(), found, new, tmp_path)
+        return response._step(bench, *arguments, 0.1, {}, tuning.Written())
+
+    limit = 2.0 * tuning.RIPPLE * 0.1
+    assert not why(0.99 * limit)
+    assert why(1.01 * limit)
 
 
 def test_an_identified_model_tunes_a_host_without_a_run(tmp_path: Path) -> None:

@@ -188,7 +188,12 @@ def tune(
     from rig.config.configuration import beside
     from rig.results.document import PAGE_FILE, shown, write_record
     from rig.results.response import tuning
-    from rig.results.response.measure import RESPONSE_SCHEMA, loop_place, read_response
+    from rig.results.response.measure import (
+        RESPONSE_SCHEMA,
+        loop_place,
+        read_response,
+        require_response_of,
+    )
 
     bench_file = load_bench(bench)
     place = loop_place(bench_file)
@@ -209,6 +214,7 @@ def tune(
         record = read_json(result)
         if isinstance(record, dict) and record.get("schema") == RESPONSE_SCHEMA:
             seen, gains, ripple = read_response(result)
+            require_response_of(result, bench_file, place)
             source = seen, gains
         else:
             source = tuning.modelled(bench_file, place, _friction(bench_file, result))
@@ -326,8 +332,8 @@ def _step(
     )
     if phase is None or expected is None or phase < expected - LOST_DEG:
         return f"phase margin {phase} deg where {expected} deg were expected"
-    if found.old.speed:
-        most = RIPPLE * max(gains.speed / found.old.speed, 1.0) * ripple_N_m
-        if seen.ripple_N_m > most:
-            return f"the torque oscillates: {seen.ripple_N_m:.3g} N m from sample to sample"
+    old = found.old
+    grown = gains.speed / old.speed if old.speed else gains.position / old.position
+    if seen.ripple_N_m > RIPPLE * max(grown, 1.0) * ripple_N_m:
+        return f"the torque oscillates: {seen.ripple_N_m:.3g} N m from sample to sample"
     return ""

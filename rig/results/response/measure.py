@@ -343,6 +343,32 @@ def read_response(path: Path) -> tuple[Spectra, Gains, float | None]:
         raise InputError(f"{path}: not a result of `rig response` ({error})") from error
 
 
+def require_response_of(path: Path, document: File[Bench], place: LoopPlace) -> None:
+    """Require that a result of ``rig response`` was measured with this bench, the same place of its
+    position loop, and, of a loop that the program closes, the present gains.
+
+    Raises:
+        InputError: The result is of another bench, place or set of gains.
+    """
+    record = read_json(path)
+    gains: dict[str, Any] = {}
+    if place.host and place.stated is not None:
+        gains = {name: entry["value"] for name, entry in gains_record(place.stated).items()}
+    here: dict[str, Any] = {"bench": document.value.name, "loop_closed_by": place.host or "drive"}
+    there = {name: record.get(name) for name in here}
+    there |= {name: record["gains"][name]["value"] for name in gains}
+    other = [
+        f"{name} {value} in place of {expected}"
+        for name, expected in (here | gains).items()
+        if (value := there[name]) != expected
+    ]
+    if other:
+        raise InputError(
+            f"{path}: not a response of {document.path}: {', '.join(other)}; run `rig response` "
+            "with this bench"
+        )
+
+
 MARGIN_HEADER: Final = (
     "open loop",
     "phase margin, deg",

@@ -53,8 +53,8 @@ RAMP: Final = (0.5, 1.0)
 LOST_DEG: Final = 15.0
 """Phase margin below the expected one at which a step of the ramp has failed."""
 RIPPLE: Final = 3.0
-"""Factor on the ripple of the torque, beside that on the gain of the speed loop, that counts as an
-oscillation.
+"""Factor on the ripple of the torque, beside that on the gain of the speed loop (without one, of
+the position loop), that counts as an oscillation.
 """
 _BAND: Final = 0.02  # band around the final value of a settled step
 _SPEED_RAD_S: Final = 0.2  # speed at which the friction of a model is linear
@@ -164,7 +164,7 @@ def keys_of(document: File[Bench], place: LoopPlace) -> tuple[tuple[str, ...], M
 
 def with_gains(document: File[Bench], place: LoopPlace, old: Gains, new: Gains) -> str:
     """Return the text of the bench file with other gains. Gains of the file change by the ratio of
-    the new gains to the old ones, as these were measured.
+    the new gains to the old ones, as these were measured; a reset of 0 becomes the new one.
     """
     section, keys = keys_of(document, place)
     tree, _ = parse(document.path.read_text(encoding="utf-8-sig"))
@@ -176,8 +176,11 @@ def with_gains(document: File[Bench], place: LoopPlace, old: Gains, new: Gains) 
     assert place.stated is not None
     for name, key in keys.items():
         before, after = getattr(old, name), getattr(new, name)
-        if before and getattr(place.stated, name):
-            below[key] = float(f"{getattr(place.stated, name) * after / before:.6g}")
+        stated = getattr(place.stated, name)
+        if before and stated:
+            below[key] = float(f"{stated * after / before:.6g}")
+        elif after and name == "reset" and place.stated.speed:
+            below[key] = float(f"{after:.6g}")
     return bench_text(bench, ["gains by `rig tune`"])
 
 
