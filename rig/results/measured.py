@@ -50,9 +50,12 @@ def measured(
     """Return a statistic, SI, of a run and its excitations; None if it was not recorded.
 
     ``measure`` is one of :data:`rig.config.acceptance.MEASURES`, but not the torque error. Of the
-    durations of several recordings the worst counts.
+    durations of several recordings the worst counts. Counts and durations are unknown if a
+    recording with motion or control cycles has none, because its writer died.
     """
-    timings = [p.timing for p in record.parts if p.timing]
+    moved = {segment.part for segment in record.segments}
+    used = [p for n, p in enumerate(record.parts, start=1) if p.cycles or n in moved]
+    timings = [p.timing for p in used if p.timing] if all(p.timing for p in used) else []
     if measure in _COUNTS:
         names = _COUNTS[measure]
         return float(sum(t[name] for t in timings for name in names)) if timings else None

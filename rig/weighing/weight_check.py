@@ -258,6 +258,26 @@ def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weig
     return suspects(_levels(dataset.recordings), reference)
 
 
+def judged(dataset: Dataset) -> list[Weighing]:
+    """Check the mass of each loaded recording by the recordings of other masses.
+
+    Returns:
+        One weighing for each loaded recording with enough motion; none with fewer than three
+        different masses, of which two would always agree.
+    """
+    items = _levels(dataset.recordings)
+    if len({item.weight_kg for item in items}) < 3:
+        return []
+    off = {found.stage: found for found in suspects(items, None)}
+    sound = [item for item in items if item.stage not in off]
+    return [
+        off.get(item.stage)
+        or weigh(item, None, [other for other in sound if other.weight_kg != item.weight_kg])
+        for item in items
+        if item.weight_kg
+    ]
+
+
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
     """Whether masses can be judged: by a reference, or by loaded stages of different masses."""
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]

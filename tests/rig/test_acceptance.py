@@ -154,6 +154,45 @@ def test_what_nothing_has_checked_does_not_pass(evidence, line, found, passed):
     assert check.passed is passed
 
 
+def test_a_recording_without_timing_makes_the_times_unknown(evidence: Evidence) -> None:
+    part = evidence.record.parts[0]
+    quiet = {**part.timing, "lateness": {**part.timing["lateness"], "p99_us": None}}
+    idle = dataclasses.replace(part, timing=quiet, cycles=0)
+    unstarted = dataclasses.replace(idle, timing={})
+    died = dataclasses.replace(part, timing={}, state="died")
+    for other, known in ((idle, True), (unstarted, True), (died, False)):
+        record = dataclasses.replace(evidence.record, parts=[part, other])
+        checks = judged(
+            dataclasses.replace(evidence, record=record), "p99 lateness < 1 s", "lost samples < 1"
+        )
+        assert [check.passed for check in checks] == [known] * 2
+        assert [check.value is not None for check in checks] == [known] * 2
+
+
+def test_two_masses_check_no_weight(tmp_path: Path) -> None:
+    again = SHORT.partition("  - {name: heavy")[2]
+    folder = run_in(tmp_path, f"  - {{name: again{again}").path
+    limit = parse_limit("weight check passed")
+    found = gather(folder, (limit,), lambda what, share: None)
+    assert [s.weight_kg for s in found.record.stages] == [0.0, 10.0, 10.0]
+    assert found.weights == {}
+    assert not judge((limit,), found)[-1].passed
+
+
+def test_a_recorded_wrong_weight_is_on_the_certificate_whatever_the_limits(run: Path) -> None:
+    raw = json.loads((run / "run.json").read_text())
+    entry = {"confirmed_kg": 10.0, "measured_kg": 12.0, "sigma_kg": 0.1, "message": "it is 12 kg"}
+    raw["weights"] = [
+        {**entry, "stage": "heavy", "verdict": "right"},
+        {**entry, "stage": "heavy[2]", "verdict": "wrong"},
+    ]
+    (run / "run.json").write_text(json.dumps(raw))
+    accept(run, (), "test", lambda what, share: None)
+    page = etree.HTML((run / "certificate.html").read_text())
+    (row,) = (r for r in page.iter("tr") if (r[0].text or "").strip() == "heavy")
+    assert "wrong" in [(cell.text or "").strip() for cell in row]
+
+
 def test_a_run_that_is_not_complete_is_rejected(evidence: Evidence) -> None:
     assert accepted(judge((), evidence))
     record = dataclasses.replace(evidence.record, state="tripped", message="current")
@@ -238,6 +277,34 @@ def test_what_was_out_of_date_or_of_another_recording_is_seen(run: Path) -> None
     page = (run / "certificate.html").read_text()
     for words in ("C-17", "2026-01-01", "OVERDUE", "C-18", "valid"):
         assert words in page
+
+
+def test_a_result_from_another_run_record_or_of_the_pressure_alone_is_made_again(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rig.results.acceptance import evidence as gathering
+
+    def constants() -> bool:
+        return bool(gather(run, (), lambda what, share: None).constants)
+
+    record = json.loads((run / "identify.json").read_text())
+    entry = {"file": str(run / "run.json"), "sha256": sha256_file(run / "run.json")}
+    record["inputs"].append(entry)
+    (run / "identify.json").write_text(json.dumps(record))
+    assert constants()
+    raw = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps(raw | {"operator": "Bob"}))
+    assert not constants()
+
+    made = {"verdict": "named"}
+    monkeypatch.setattr(gathering, "_diagnosed", lambda folder, progress: made)
+    (run / "diagnosis").mkdir()
+    for equation, verdict in (("torque", "nothing_missing"), ("pressure", "named")):
+        given = {"verdict": "nothing_missing", "fit": {"equation": equation}}
+        given |= {"inputs": record["inputs"][:1]}
+        (run / "diagnosis" / "diagnose.json").write_text(json.dumps(given))
+        limits = (parse_limit("nothing missing"),)
+        assert gather(run, limits, lambda what, share: None).diagnosis == verdict
 
 
 def test_a_run_is_judged_at_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,6 +21,7 @@ from rig.weighing.weight_check import (
     FrictionLevel,
     LoadedLevel,
     friction_level,
+    judged,
     suspects,
     tolerance_kg,
     weigh,
@@ -160,6 +161,22 @@ def test_a_stage_off_its_label_is_named() -> None:
 def test_nothing_is_named_where_all_agree_or_nothing_can_be_compared() -> None:
     assert suspects([item("empty", 0.0), item("a", 10.0), item("b", 20.0)], None) == []
     assert suspects([item("empty", 0.0), item("a", 10.0, 20.0)], None) == []
+
+
+def test_all_weights_of_a_run_are_judged_only_by_three_masses() -> None:
+    def verdicts(*items: LoadedLevel) -> dict[str, str]:
+        with mock.patch("rig.weighing.weight_check._levels", return_value=list(items)):
+            return {w.stage: w.verdict.value for w in judged(mock.Mock())}
+
+    empty, a, b, c = item("empty", 0.0), item("a", 10.0), item("b", 20.0), item("c", 30.0)
+    assert verdicts(empty, item("a", 10.0, 20.0), item("a2", 10.0, 20.0)) == {}
+    assert verdicts(empty, a, b) == {"a": "right", "b": "right"}
+    off = item("b", 20.0, 26.0)
+    assert verdicts(empty, a, off, c) == {"a": "right", "b": "wrong", "c": "right"}
+    torque = b.level.torque.copy()
+    torque[np.flatnonzero(b.level.path)[::2]] += 8.0
+    loose = LoadedLevel("b", 20.0, dataclasses.replace(b.level, torque=torque))
+    assert verdicts(empty, a, loose)["b"] == "unchecked"
 
 
 def test_a_result_file_is_read(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from rig.results.acceptance.evidence import (
     accepted,
     gather,
     judge,
+    weight_verdict,
 )
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import (
@@ -79,7 +80,7 @@ def make_certificate(
         ("stage", lambda s: s.name),
         ("planned kg", lambda s: f"{s.weight_kg:g}"),
         ("confirmed kg", lambda s: number(s.confirmed_kg)),
-        ("weight check", lambda s: evidence.weights.get(s.name, ("-", ""))[0]),
+        ("weight check", lambda s: weight_verdict(evidence.weights, s.name) or "-"),
         ("state", lambda s: s.state),
     )
     constants = columns(

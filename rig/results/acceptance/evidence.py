@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from identification.diagnosis.gas import PRESSURE
 from identification.numerics.arrays import Progress
 from identification.recording import Dataset
 from rig.common.errors import InputError
@@ -18,7 +19,7 @@ from rig.common.provenance import sha256_file
 from rig.common.tables import number
 from rig.config.acceptance import NOTHING_MISSING, WEIGHT_CHECK, Bound, Limit, Range, Required
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
-from rig.results.diagnose.diagnose import diagnose_source
+from rig.results.diagnose.diagnose import diagnose_source, without_torque
 from rig.results.diagnose.exports import write_diagnosis
 from rig.results.identify.document import write_identification
 from rig.results.identify.identify import Request, identify_source
@@ -28,9 +29,9 @@ from rig.runs.catalogue.index import constants_of
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
 from rig.runs.run_file import read_record
-from rig.runs.run_record import Ending, RunRecord
+from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 from rig.runs.run_record import Verdict as WeightVerdict
-from rig.weighing.weight_check import comparable, off_label
+from rig.weighing.weight_check import judged as weighed_recordings
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
@@ -48,7 +49,7 @@ class Evidence:
     method: str = ""  # method of the identification; empty without one
     fit_rms: float | None = None  # torque error of the identification; None without one
     diagnosis: str = ""  # verdict of the diagnosis; empty if no limit needs a diagnosis
-    # Verdict and message of the last weight check, by the name of the stage.
+    # Verdict and message of the last weight check, by the name of the stage or of its recording.
     weights: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()  # messages on values that could not be obtained
 
@@ -57,7 +58,8 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     """Collect the values of a run that the limits apply to.
 
     An identification or diagnosis in the run folder is used if it was made from the present
-    recordings; else the run is identified and diagnosed as by ``rig identify`` and ``rig
+    recordings and the present ``run.json``, and a diagnosis if it has the equations of the motion
+    that was recorded; else the run is identified and diagnosed as by ``rig identify`` and ``rig
     diagnose``, and the results are written into the folder.
     """
     record = read_record(folder)
@@ -67,7 +69,8 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     problems: list[str] = []
     dataset = _tried(lambda: load_run(folder), problems)
     used = {r.sha256 for r in dataset.recordings} if dataset is not None else set()
-    identified = _current(folder / IDENTIFY_FILE, used)
+    present = sha256_file(folder / RUN_FILE)
+    identified = _current(folder / IDENTIFY_FILE, used, present)
     needed = any(
         isinstance(limit, Range) or getattr(limit, "measure", "") == "torque error"
         for limit in limits
@@ -76,8 +79,9 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
         identified = _tried(lambda: _identified(folder, progress), problems) or {}
     diagnosed: Mapping[str, Any] = {}
     if any(limit.text == NOTHING_MISSING for limit in limits):
-        diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, used)
-        if not diagnosed and dataset is not None:
+        diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, used, present)
+        gas = (diagnosed.get("fit") or {}).get("equation") == PRESSURE
+        if dataset is not None and (not diagnosed or (gas and not without_torque(dataset))):
             diagnosed = _tried(lambda: _diagnosed(folder, progress), problems) or {}
     weighed = any(limit.text == WEIGHT_CHECK for limit in limits)
     fit = identified.get("fit") or {}
@@ -89,7 +93,7 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
         str(identified.get("method", "")),
         fit.get("train_rms"),
         str(diagnosed.get("verdict", "")),
-        _weights(record, dataset) if weighed else {},
+        _weights(record, dataset if weighed else None),
         tuple(dict.fromkeys(problems)),
     )
 
@@ -103,16 +107,19 @@ def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
         return None
 
 
-def _current(path: Path, present: Collection[str]) -> dict[str, Any]:
-    """Return the record of a result file made from all present recordings, by their digests;
-    otherwise, {}.
+def _current(path: Path, present: Collection[str], run: str) -> dict[str, Any]:
+    """Return the record of a result file made from all present recordings and, if the file names a
+    ``run.json``, from the present one, by their digests; otherwise, {}.
     """
     try:
         found = json.loads(path.read_bytes())
-        used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}
+        inputs = [(Path(each["file"]), each["sha256"]) for each in found["inputs"]]
     except (OSError, ValueError, LookupError, TypeError):
         return {}
-    return found if used and used == {*present} and not found.get("partial") else {}
+    used = {digest for file, digest in inputs if file.suffix == ".mcap"}
+    described = {digest for file, digest in inputs if file.name == RUN_FILE}
+    current = used and used == {*present} and described <= {run}
+    return found if current and not found.get("partial") else {}
 
 
 def _identified(folder: Path, progress: Progress) -> dict[str, Any]:
@@ -130,11 +137,21 @@ def _diagnosed(folder: Path, progress: Progress) -> dict[str, Any]:
 def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str, str]]:
     """Return the last weight check of each stage, from the run or else from the recordings."""
     found = {str(w["stage"]): (str(w["verdict"]), str(w["message"])) for w in record.weights}
-    if found or dataset is None or not comparable(dataset):
+    if found or dataset is None:
         return found
-    right = WeightVerdict.RIGHT.value, "the friction of the stages agrees with their masses"
-    wrong = {each.stage: (each.verdict.value, each.message) for each in off_label(dataset)}
-    return {stage.name: right for stage in record.stages if stage.stage == "loaded"} | wrong
+    found = {w.stage: (w.verdict.value, w.message) for w in weighed_recordings(dataset)}
+    unknown = WeightVerdict.UNCHECKED.value, "too little motion or no current was recorded"
+    loaded = [s.name for s in record.stages if s.stage == "loaded"] if found else []
+    return found | {name: unknown for name in loaded if weight_verdict(found, name) is None}
+
+
+def weight_verdict(weights: Mapping[str, tuple[str, str]], stage: str) -> str | None:
+    """Return the worst verdict of the weight checks of a stage and of its recordings; None without
+    a check.
+    """
+    worst = [v.value for v in (WeightVerdict.WRONG, WeightVerdict.UNCHECKED, WeightVerdict.RIGHT)]
+    mine = [verdict for name, (verdict, _) in weights.items() if name.partition("[")[0] == stage]
+    return min(mine, key=lambda v: worst.index(v) if v in worst else -1, default=None)
 
 
 COMPLETE = "run complete"  # name of the check that every run must pass before its limits are judged
