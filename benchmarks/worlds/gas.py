@@ -193,7 +193,8 @@ def seal_gas(
 ) -> list[Sealed]:
     """Draw, simulate and seal firings; return the rigs with their digests."""
     drawn = list(enumerate(gas_assignment(rigs, seed), start=1))
-    return seal_all(home, drawn, partial(seal_one, seed=seed), engine, progress, salt)
+    settings = {"plant": "gas", "rigs": rigs, "seed": seed}
+    return seal_all(home, drawn, partial(seal_one, seed=seed), engine, progress, settings, salt)
 
 
 def seal_one(task: Task, seed: int) -> Made:

@@ -70,13 +70,13 @@ def seal_worlds(
         salt: Function that returns the salt of the world with a number; random by default.
 
     Raises:
-        InputError: Workers die repeatedly.
+        InputError: Workers die repeatedly, or the folder holds rigs of other settings.
         OSError: A file cannot be written.
     """
     drawn = list(enumerate(worlds_assignment(rigs, seed, plant.effects, plant.outside), start=1))
-    return seal_all(
-        home, drawn, partial(seal_world, plant=plant, seed=seed), engine, progress, salt
-    )
+    settings = {"plant": type(plant).__name__, "rigs": rigs, "seed": seed}
+    one = partial(seal_world, plant=plant, seed=seed)
+    return seal_all(home, drawn, one, engine, progress, settings, salt)
 
 
 def seal_world(task: Task, plant: Plant, seed: int) -> Made:

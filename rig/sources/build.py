@@ -565,14 +565,19 @@ def _files(
 
 
 def _distinct_names(recordings: list[Recording]) -> Iterator[Recording]:
-    """Add the folder to duplicate names, then number the names that are still equal."""
-    count = Counter(recording.name for recording in recordings)
-    used: Counter[str] = Counter()
-    for recording in recordings:
-        name = recording.name
-        if count[name] > 1:
-            name = f"{Path(recording.source).parent.name}/{name}"
-        used[name] += 1
-        if used[name] > 1:
-            name = f"{name} ({used[name]})"
+    names = distinct_names(
+        [r.name for r in recordings], [Path(r.source).parent.name for r in recordings]
+    )
+    for recording, name in zip(recordings, names, strict=True):
         yield recording if name == recording.name else replace(recording, name=name)
+
+
+def distinct_names(names: list[str], folders: list[str]) -> list[str]:
+    """Add the folder to duplicate names, then number the names that are still equal."""
+    count, used = Counter(names), Counter[str]()
+    found = []
+    for name, folder in zip(names, folders, strict=True):
+        made = f"{folder}/{name}" if count[name] > 1 else name
+        used[made] += 1
+        found.append(f"{made} ({used[made]})" if used[made] > 1 else made)
+    return found

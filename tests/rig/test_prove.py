@@ -138,6 +138,9 @@ def gain(source: Path, names: Sequence[str]) -> dict[str, Any]:
 
 
 def test_the_place_is_held_against_the_catalogue() -> None:
+    def parts(*recordings: str) -> dict[str, Any]:
+        return {**lost, "location": {**PLACE, "recordings": list(recordings)}}
+
     lost = diagnosed(verdict="outside_catalogue")
     slip = {"angle_rad": 0.01, "at_s": 5.0}
     cases = {
@@ -146,6 +149,12 @@ def test_the_place_is_held_against_the_catalogue() -> None:
         "elsewhere": (diagnosed(effect("cogging")), "cogging", {"torque_Nm": 1.0}),
         "its recording": (lost, "encoder_slip", {**slip, "recording": 4.0}),
         "another one": (lost, "encoder_slip", {**slip, "recording": 2.0}),
+        "its parts": (parts("d[1]", "d[2]", "a"), "encoder_slip", {**slip, "recording": 4.0}),
+        "parts of three": (
+            parts("d[1]", "a[1]", "b"),
+            "encoder_slip",
+            {**slip, "recording": 4.0},
+        ),
     }
     places = {
         case: scored("one", said, **{name: true})["location"]
@@ -157,6 +166,8 @@ def test_the_place_is_held_against_the_catalogue() -> None:
         "elsewhere": (False, False, False),
         "its recording": (True, False, True),
         "another one": (True, False, False),
+        "its parts": (True, False, True),
+        "parts of three": (True, False, False),
     }
     missed = scored("one", NOTHING, backlash=GAP)
     assert missed["location"]["found"] is None
@@ -166,6 +177,15 @@ def test_the_place_is_held_against_the_catalogue() -> None:
     for said, right in ((in_torque, True), (with_voltage, False)):
         assert scored("one", said, time_skew={"time_s": 0.01})["location"]["equation"] is right
     assert score([missed])["location"]["place"]["of"] == 0
+
+
+@pytest.mark.parametrize(("true", "inside"), [(3.1, True), (-3.18, True), (0.1, False)])
+def test_an_angle_is_compared_in_the_turn_of_its_estimate(true: float, inside: bool) -> None:
+    estimate = {"value": -3.12, "low": -3.22, "high": -3.02}
+    found = effect("cogging", phase_rad=estimate, torque_Nm=estimate)
+    row = scored("one", diagnosed(found), cogging={"phase_rad": true, "torque_Nm": true})
+    assert row["parameters"]["cogging.phase_rad"]["inside"] is inside
+    assert row["parameters"]["cogging.torque_Nm"]["inside"] is (true == -3.18)
 
 
 def test_the_probability_given_to_the_truth_is_that_of_a_name_or_of_a_rival() -> None:
@@ -288,7 +308,7 @@ def test_a_proof_from_the_command_line(tmp_path, monkeypatch, capsys):
     again = json.loads(result_file.read_text())
     assert [r["effects"] for r in again["rigs"]] == [r["effects"] for r in result["rigs"]]
     assert status([*arguments[:2], "4", *arguments[3:]]) == 2
-    assert "contains a proof with other settings" in capsys.readouterr().err
+    assert "with other settings" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("quick")
@@ -299,6 +319,22 @@ def test_a_damaged_proof_is_not_gone_on_with(tmp_path, capsys, content):
     (tmp_path / "proof.json").write_text(content)
     assert status(["prove", "--rigs", "1", "--out", str(tmp_path)]) == 2
     assert str(tmp_path / "proof.json") in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("quick")
+def test_trials_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
+    home = tmp_path / "trials"
+    first = proving.seal_own(home, 2, SEED, ENGINE, no_progress)
+    assert proving.seal_own(home, 2, SEED, ENGINE, no_progress) == first
+    for rigs, seed in ((3, SEED), (2, SEED + 1)):
+        with pytest.raises(InputError):
+            proving.seal_own(home, rigs, seed, ENGINE, no_progress)
+    # A digest of the settings in the list that is sent away would show the seed.
+    assert json.loads((home / proving.SETTINGS_FILE).read_text()) == {"rigs": 2, "seed": SEED}
+    assert Path(proving.SETTINGS_FILE).name not in (home / proving.SUMS_FILE).read_text()
+    (home / proving.SETTINGS_FILE).unlink()
+    with pytest.raises(InputError):
+        proving.seal_own(home, 2, SEED, ENGINE, no_progress)
 
 
 @pytest.mark.usefixtures("quick")

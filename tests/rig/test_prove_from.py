@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from identification.recording import RecordingError
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import run as judging
+from rig.results.prove import simulate as simulating
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import SUMS_FILE, sealed_rigs, write_sums
@@ -190,9 +192,76 @@ def test_changed_files_are_found_out(theirs: Path, tmp_path: Path) -> None:
         judging.begin_from(tmp_path / "out", 600, 1, theirs)
 
 
+def test_a_truth_without_a_campaign_and_a_rig_with_two_truths_are_refused(theirs: Path) -> None:
+    assert len(sealed_rigs(theirs)) == len(TRUTHS)
+    (theirs / "sealed" / "bench_a.json").write_text('{"truth": 1}')
+    (theirs / "sealed" / "bench_x.yaml").write_text("truth: 1\n")
+    with pytest.raises(InputError) as caught:
+        sealed_rigs(theirs)
+    refused = [Path(problem.partition(": ")[0]).name for problem in caught.value.problems]
+    assert refused == ["bench_a.yaml", "bench_x.yaml"]
+
+
+def test_all_rigs_are_judged_unless_a_number_is_given(theirs: Path, tmp_path: Path) -> None:
+    assert len(judging.begin_from(tmp_path / "all", None, 1, theirs).rigs) == len(TRUTHS)
+    assert len(judging.begin_from(tmp_path / "two", 2, 1, theirs).rigs) == 2
+    # The number is kept for the next call.
+    judging.begin_from(tmp_path / "all", len(TRUTHS), 1, theirs)
+    with pytest.raises(InputError):
+        judging.begin_from(tmp_path / "all", 2, 1, theirs)
+
+
+def test_the_command_judges_more_rigs_than_it_draws(theirs, tmp_path, monkeypatch):
+    monkeypatch.setattr("rig.cli.commands.prove._TRIALS", 2)
+    monkeypatch.setattr("rig.results.prove.judge.judge", judge)
+    monkeypatch.setattr("rig.results.prove.judge.oracle_of", no_oracle)
+    out = tmp_path / "out"
+    assert status(["prove", "--from", str(theirs), "--out", str(out)]) == 0
+    assert len(list((out / "rows").iterdir())) == len(TRUTHS)
+
+
+def test_a_rig_that_cannot_be_read_or_fitted_does_not_end_the_proof(theirs, tmp_path):
+    (theirs / "bench_d" / "campaign.yaml").write_text("no campaign")
+    for name in ("a", "b"):
+        (theirs / "sealed" / f"bench_{name}.reference").mkdir()
+        (theirs / "sealed" / f"bench_{name}.reference" / "campaign.yaml").write_text(CAMPAIGN)
+
+    def broken(source: Path, names: Sequence[str]) -> None:
+        raise ZeroDivisionError
+
+    def unreadable(source: Path) -> dict[str, float]:
+        raise InputError("a.csv: no such file")
+
+    proof = diagnosed(theirs, tmp_path / "out")
+    rows = judging.score_all(proof, broken, unreadable, ENGINE, no_progress)
+    assert [row["verdict"] for row in rows][3] == "refused"
+    assert [row["oracle"] for row in rows] == [None] * len(TRUTHS)
+    assert [row["left"] for row in rows] == [None] * len(TRUTHS)
+
+
+def test_a_reference_that_cannot_be_fitted_has_no_floor(monkeypatch: pytest.MonkeyPatch) -> None:
+    def choose(dataset: object, bandwidth: object) -> None:
+        raise RecordingError("too short")
+
+    monkeypatch.setattr(simulating, "load_source", lambda campaign: None)
+    monkeypatch.setattr(simulating, "choose", choose)
+    assert simulating.floors_of(Path("campaign.yaml")) == {}
+
+
+def test_files_of_one_name_have_the_names_that_a_diagnosis_gives(tmp_path: Path) -> None:
+    for folder in ("x", "y"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "log.csv").write_text("t,q,i\n")
+    path = tmp_path / "campaign.yaml"
+    path.write_text(CAMPAIGN.replace("a.csv.gz", "x/log.csv").replace("[b.csv, c.csv]", "y/*.csv"))
+    assert judging._recordings(path) == ["x/log", "y/log"]
+
+
 def test_the_command_line_refuses_what_contradicts(tmp_path, theirs, capsys):
     (tmp_path / "empty").mkdir()
     for options, message in (
+        (["--rigs", "1", "--seal", str(tmp_path / "x"), "--json", str(tmp_path / "j")], "--json"),
+        (["--from", str(theirs), "--out", str(theirs)], SUMS_FILE),
         (["--from", str(theirs), "--seal", str(tmp_path / "x")], "give only one of these options"),
         (["--from", str(tmp_path / "empty"), "--out", str(tmp_path / "o")], "docs/guides/worlds"),
     ):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rig.results.prove.truth import Sealed
 
 
+_TRIALS = 600  # trials of a proof
 _STUDY_SHARE = 0.3  # share of the figures' runs in the time of the command with 20 seeds
 
 
@@ -71,7 +72,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 
 
 @click.command("prove")
-@click.option("--rigs", type=click.IntRange(min=1), default=600, help="Number of trials.")
+@click.option(
+    "--rigs",
+    type=click.IntRange(min=1),
+    help="Number of trials. [default: 600; with --from, all]",
+)
 @shared.path(
     "--seal",
     "Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
@@ -82,11 +87,11 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     "--from",
     "source",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Judge campaigns sealed by someone else: NAME/campaign.yaml and sealed/NAME.yaml.",
+    help="Judge campaigns sealed by others: NAME/campaign.yaml and sealed/NAME.yaml.",
 )
 @shared.path(
     "--out",
-    "Folder of the proof; a proof that was begun in this folder is continued.",
+    "Folder of the proof; a proof begun in this folder is continued.",
     type=shared.FOLDER,
     default=Path("proof"),
 )
@@ -113,7 +118,7 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
 )
 @shared.result_file
 def prove(
-    rigs: int,
+    rigs: int | None,
     home: Path | None,
     source: Path | None,
     out: Path,
@@ -152,19 +157,21 @@ def prove(
         raise InputError(
             "--investigate cannot be combined with --seal, --from or --scheduler; leave it out"
         )
+    if home is not None and json_file is not None:
+        raise InputError("--seal has no result; leave --json out")
     require_folder(out, "--out")
-    started = time.perf_counter()
+    started, number = time.perf_counter(), rigs or _TRIALS
     try:
         with engine(jobs, workers, scheduler) as shared_out:
             if investigated:
-                _investigate(out, rigs, seed, shared_out, started, json_file)
+                _investigate(out, number, seed, shared_out, started, json_file)
                 return
             if home is not None:
                 require_folder(home, "--seal")
-                _tell(_seal(home, rigs, seed, shared_out))
+                _tell(_seal(home, number, seed, shared_out))
                 return
             if source is None:
-                source = out / "trials"
+                source, rigs = out / "trials", number
                 _seal(source, rigs, seed, shared_out, repeated=True)
             rows = _judge(source, out, rigs, seed, shared_out)
         from rig.results.prove.document import prove_document
@@ -227,7 +234,9 @@ def _tell(rigs: Iterable[Sealed]) -> None:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 
-def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
+def _judge(
+    source: Path, out: Path, rigs: int | None, seed: int, engine: Engine
+) -> list[dict[str, Any]]:
     """Print the digests of sealed rigs, diagnose and score them; return their rows."""
     from rig.results.prove.judge import judge, oracle_of
     from rig.results.prove.run import begin_from, diagnose_all, score_all

@@ -45,15 +45,23 @@ from rig.results.prove.truth import (
     seal_truth,
     unseal,
 )
+from rig.sources.build import distinct_names
 
 SUMS_FILE = "SHA256SUMS"
+SETTINGS_FILE = f"{SEALED}/.settings.json"
+"""File of a folder of sealed rigs with the settings of its draws. It is beside the truths, because
+it repeats them, and no digest of it is listed, because a digest would show the seed.
+"""
 
 
 def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
-    """Write the digest of every file of the folder; return the path of the list."""
+    """Write the digest of every file of the folder but the settings; return the path of the
+    list.
+    """
     path = home / SUMS_FILE
+    left_out = (path, home / SETTINGS_FILE)
     found = {f for part in parts for f in (home / part, *(home / part).rglob("*"))}
-    files = sorted(f for f in found if is_file(f) and f != path)
+    files = sorted(f for f in found if is_file(f) and f not in left_out)
     lines = [f"{sha256_file(file)}  {file.relative_to(home).as_posix()}" for file in files]
     write_text(path, "\n".join(lines) + "\n")
     return path
@@ -157,26 +165,34 @@ PREFIX = "rig-"  # prefix of a rig's folder if its truth is named by a number
 
 
 def sealed_rigs(home: Path) -> list[Sealed]:
-    """Return the rigs of a folder in order of their names, with the digests of their truths."""
-    found = list(_found(home))
+    """Return the rigs of a folder in order of their names, with the digests of their truths.
+
+    Raises:
+        InputError: There is no rig, a truth has no campaign, or a rig has two truths.
+    """
+    problems: list[str] = []
+    found: dict[str, Sealed] = {}
+    for truth in sorted((home / SEALED).glob("*")):
+        if truth.suffix not in SUFFIXES or truth.name.startswith("."):
+            continue
+        places = [place(home, name) for name in (truth.stem, PREFIX + truth.stem)]
+        rig = next((each for each in places if is_file(each.campaign)), None)
+        if rig is None:
+            problems.append(f"{truth}: no {places[0].campaign}; add it, or remove this truth")
+        elif rig.name in found:
+            first = found[rig.name].truth.name
+            problems.append(f"{truth}: {rig.name} already has the truth {first}; remove one")
+        else:
+            with usable(truth, "read"):
+                found[rig.name] = rig._replace(truth=truth, digest=sha256_file(truth))
+    if problems:
+        raise InputError(problems)
     if not found:
         raise InputError(
             f"{home}: no NAME/{CAMPAIGN_FILE} with a {SEALED}/NAME.yaml or {SEALED}/NAME.json; "
             f"give --from a folder of sealed rigs (docs/guides/worlds.md)"
         )
-    return found
-
-
-def _found(home: Path) -> Iterator[Sealed]:
-    for truth in sorted((home / SEALED).glob("*")):
-        if truth.suffix not in SUFFIXES or truth.name.startswith("."):
-            continue
-        for name in (truth.stem, PREFIX + truth.stem):
-            rig = place(home, name)
-            if is_file(rig.campaign):
-                with usable(truth, "read"):
-                    yield rig._replace(truth=truth, digest=sha256_file(truth))
-                break
+    return list(found.values())
 
 
 class Task(NamedTuple):
@@ -201,9 +217,15 @@ def seal_all(
     one: Callable[[Task], Made],
     engine: Engine,
     progress: Progress,
+    settings: Mapping[str, Any],
     salt: Callable[[int], str] = random_salt,
 ) -> list[Sealed]:
-    """Make and write the rigs that do not exist yet; return all rigs with their digests."""
+    """Make and write the rigs that do not exist yet; return all rigs with their digests.
+
+    Raises:
+        InputError: The folder holds rigs of other settings, or of settings that are not known.
+    """
+    _require_settings(home, settings)
     todo = [
         Task(n, assigned, salt(n))
         for n, assigned in drawn
@@ -214,6 +236,21 @@ def seal_all(
         write_folder(home, rig.files)
     write_sums(home)
     return sealed_rigs(home)
+
+
+def _require_settings(home: Path, settings: Mapping[str, Any]) -> None:
+    """Write the settings of a folder without rigs; compare those of a folder with rigs."""
+    file = home / SETTINGS_FILE
+    held: Any = None
+    if is_file(file):
+        held = read_json(file)
+    elif not any(path.suffix in SUFFIXES for path in (home / SEALED).glob("*")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_json(file, dict(settings))
+        return
+    if held != settings:
+        words = f"rigs with other settings, {held}" if held else "rigs of unknown settings"
+        raise InputError(f"{home}: this folder contains {words}; give another folder")
 
 
 @contextmanager
@@ -247,7 +284,8 @@ def seal_own(
     Trials that exist already are kept, so that a call that was stopped can be repeated.
     """
     drawn = list(enumerate(assignment(rigs, seed), start=1))
-    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress, salt)
+    settings = {"rigs": rigs, "seed": seed}
+    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress, settings, salt)
 
 
 def _seal(task: Task, seed: int) -> Made:
@@ -272,13 +310,30 @@ Floors = Callable[[Path], Mapping[str, float]]
 """Returns the nominal model's residual in each equation, of a campaign without effects."""
 
 
-def begin_from(out: Path, rigs: int, seed: int, source: Path) -> Proof:
-    """Read the seals of a folder, or continue a proof that began with these seals."""
+def begin_from(out: Path, rigs: int | None, seed: int, source: Path) -> Proof:
+    """Read the seals of a folder, or continue a proof that began with these seals.
+
+    Args:
+        out: Folder of the proof.
+        rigs: Number of rigs from the first one, or None for all.
+        seed: Seed of the diagnoses.
+        source: Folder of the sealed rigs.
+    """
+    whole, home = source.resolve(), out.resolve()
+    if whole == home:
+        raise InputError(
+            f"{out}: holds the sealed rigs, whose {SUMS_FILE} would be overwritten; give --out "
+            "another folder"
+        )
     given = sealed_rigs(source)[:rigs]
     check_sums(source)
-    whole, home = source.resolve(), out.resolve()
     stated = whole.relative_to(home) if whole.is_relative_to(home) else whole
-    settings = {"rigs": rigs, "seed": seed, "from": str(stated), "row_version": VERSION}
+    settings = {
+        "rigs": len(given) if rigs is None else rigs,
+        "seed": seed,
+        "from": str(stated),
+        "row_version": VERSION,
+    }
     file, seals = out / PROOF_FILE, {rig.name: rig.digest for rig in given}
     if is_file(file):
         changed = [n for n, d in seals_begun(file, settings).items() if seals.get(n) != d]
@@ -391,7 +446,7 @@ def score_all(
 
     tasks = (task(*pair) for pair in by_name.values())
     results = engine.each(partial(fitted, oracle=oracle, floors=floors), tasks)
-    for fits in _told(results, len(todo), len(proof.rigs), lambda r: f"{r.name} scored", progress):
+    for fits in _told(results, len(todo), len(proof.rigs), _scored_words, progress):
         rig, truth = by_name[fits.name]
         write_json(proof.file(ROWS, rig), _row(proof, rig, truth, fits))
     write_sums(proof.out, REPEATED)
@@ -415,18 +470,34 @@ class Fits(NamedTuple):
     name: str
     oracle: Mapping[str, Any] | None
     floor: Mapping[str, float] | None
+    problems: Sequence[str] = ()  # messages of fits that failed
 
 
 def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
-    """Fit the true structure to a rig, and the nominal model to that rig without its effects."""
-    held = floor = None
-    if task.campaign is not None:
-        with unpacked(task.campaign) as campaign:
-            held = oracle(campaign, task.names)
-    if task.reference is not None:
-        with unpacked(task.reference) as campaign:
-            floor = floors(campaign)
-    return Fits(task.name, held, floor)
+    """Fit the true structure to a rig, and the nominal model to that rig without its effects; a fit
+    that fails leaves None.
+    """
+    problems: list[str] = []
+
+    def tried(given: Path | Bundle | None, fit: Callable[[Path], Done]) -> Done | None:
+        if given is None:
+            return None
+        try:
+            with unpacked(given) as campaign:
+                return fit(campaign)
+        except InputError as error:
+            problems.extend(error.problems)
+        except Exception as error:  # noqa: BLE001 - a failure on one rig does not end the proof
+            problems.append(f"{type(error).__name__}: {error}")
+        return None
+
+    held = tried(task.campaign, lambda campaign: oracle(campaign, task.names))
+    return Fits(task.name, held, tried(task.reference, floors), problems)
+
+
+def _scored_words(fits: Fits) -> str:
+    failed = f", but a fit failed: {'; '.join(fits.problems)}" if fits.problems else ""
+    return f"{fits.name} scored{failed}"
 
 
 def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
@@ -438,13 +509,15 @@ def _row(proof: Proof, rig: Sealed, truth: Truth, fits: Fits) -> dict[str, Any]:
         diagnosis["verdict"] = "nothing_missing"
     judgement = Judgement(diagnosis, 0.0, beside["left"])
     floor = truth.floor if fits.floor is None else fits.floor
-    names, recorded = truth.record(rig.name), _recordings(rig.campaign)
+    # The campaign of a rig that could not be diagnosed may be unreadable.
+    recorded = [] if diagnosis["verdict"] == REFUSED else _recordings(rig.campaign)
+    names = truth.record(rig.name)
     row = row_of(names, truth.strength, judgement, fits.oracle, rig.digest, floor, recorded)
     return {**without_times(row)[0], "excused": excused, "axes": truth.axes}
 
 
 def _recordings(campaign: Path) -> list[str]:
-    """Return the names of a campaign's recordings in the form that a diagnosis uses."""
+    """Return the names of a campaign's files, which the diagnosis gives to their recordings."""
     sections, folder = load_campaign(campaign).value.recordings, campaign.parent
     files = [
         file
@@ -452,4 +525,5 @@ def _recordings(campaign: Path) -> list[str]:
         for pattern in each.patterns
         for file in matching_files(folder, pattern)
     ]
-    return [Path(file.name.removesuffix(".gz")).stem for file in files]
+    stems = [Path(file.name.removesuffix(".gz")).stem for file in files]
+    return distinct_names(stems, [file.parent.name for file in files])

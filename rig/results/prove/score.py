@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,6 +34,7 @@ LIKE: Mapping[str, frozenset[str]] = {
 speed and torque give the direction of motion and of the current, torque rises with the load, the
 machine warms up with time, and the torque changes most with the acceleration and after reversals.
 """
+_PIECE = re.compile(r"\[\d+\](?=( \(\d+\))?$)")  # number of a part between two gaps of a file
 REFUSED = "refused"  # verdict of a trial that could not be diagnosed
 NO_ALARM = ("nothing_missing", REFUSED)  # verdicts that do not report missing physics
 
@@ -46,14 +49,15 @@ def located(
         true: Parameters of the effect; ``recording`` counts from 1.
         diagnosis: Record of ``rig diagnose --json``; of several identified effects, the location of
             the first counts.
-        recordings: Names of all recordings, in the order in which ``recording`` counts them.
+        recordings: Names of all files, in the order in which ``recording`` counts them. A file with
+            gaps gives several recordings with this name and a number.
 
     Returns:
         ``equation``: whether the mismatch is in the equation in which the effect shows (in the
         torque equation if the recordings lack this equation's channels); ``coordinate``:
         whether the mismatch is over the coordinate of the catalogue; ``place``: whether the
         mismatch is over this coordinate or an equivalent coordinate, or, for effects of one
-        recording, whether the diagnosis lists this recording with at most one other recording;
+        file, whether the diagnosis lists recordings of this file and of at most one other file;
         ``found``: the coordinate found. All four values are null if the diagnosis found no
         mismatch; the power curve shows these trials.
     """
@@ -67,7 +71,8 @@ def located(
     if entry.place is not None:
         at = round(true.get("recording", 0)) - 1
         own = recordings[at] if 0 <= at < len(recordings) else None
-        place = own in where["recordings"] and len(where["recordings"]) <= 2
+        files = {_PIECE.sub("", name) for name in where["recordings"]}
+        place = own in files and len(files) <= 2
     else:
         place = found == expected or found in LIKE.get(expected, ())
     return {
@@ -84,7 +89,7 @@ MOST_NAMED = 3
 WORTH = 0.05  # least gain of the oracle, over the noise, for which the diagnosis is compared
 FAINT = 1e-12
 NAMED = ("name", "alias_group", "confidence")  # values of an identified effect that a row holds
-VERSION = 7
+VERSION = 8
 """Version of the rows and recordings; a proof that began with another version is not continued."""
 
 
@@ -173,21 +178,30 @@ def _probability(names: Sequence[str], found: Sequence[Mapping[str, Any]]) -> fl
 def _parameters(
     true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return true and estimated parameters of the correctly identified effects."""
-    return {
-        f"{effect['name']}.{name}": {
-            "true": value,
-            "value": each["value"],
-            "low": each["low"],
-            "high": each["high"],
-            "inside": None
-            if None in (each["low"], each["high"])
-            else each["low"] <= value <= each["high"],
-        }
-        for effect in found
-        for name, value in true.get(effect["name"], {}).items()
-        if (each := effect["parameters"].get(name)) is not None
-    }
+    """Return true and estimated parameters of the correctly identified effects; a true angle is
+    given in the turn of its estimate.
+    """
+    rows = {}
+    for effect in found:
+        given = true.get(effect["name"], {})
+        angles = EFFECTS[effect["name"]].polar[1:] if effect["name"] in EFFECTS else ()
+        for name, stated in given.items():
+            each = effect["parameters"].get(name)
+            if each is None:
+                continue
+            value, low, high = stated, each["low"], each["high"]
+            if name in angles and each["value"] is not None:
+                turn = 2.0 * math.pi
+                value += turn * round((each["value"] - value) / turn)
+            inside = None if None in (low, high) else low <= value <= high
+            rows[f"{effect['name']}.{name}"] = {
+                "true": value,
+                "value": each["value"],
+                "low": low,
+                "high": high,
+                "inside": inside,
+            }
+    return rows
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:

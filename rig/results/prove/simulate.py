@@ -181,8 +181,9 @@ def residual_rms(joint: Joint) -> dict[str, float]:
 
 def floors_of(campaign: Path) -> dict[str, float]:
     """Return the nominal model's residual on a campaign without effects; empty if not fitted."""
-    dataset, bandwidth, _ = choose(load_source(campaign), None)
+    dataset = load_source(campaign)
     try:
+        dataset, bandwidth, _ = choose(dataset, None)
         _, joint = views_and_fit(dataset, bandwidth)
     except RecordingError:
         return {}
