@@ -256,7 +256,6 @@ _MOST_STEPS = 40
 _NULL_DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
 """Least standard error over the median one, so that one value does not outweigh all others."""
-_TWO_SIDED_90 = 1.6448536269514722
 
 
 @dataclass(frozen=True)
@@ -316,10 +315,12 @@ class ChangeTest:
             k: _chance(null, statistic[k]) for k, null in zip((0, step), self._null, strict=True)
         }
         best = min(chances, key=lambda k: (chances[k], -statistic[k]))
+        # A scatter beyond the standard errors is estimated from n - 2 degrees of freedom.
+        wide = quantile(len(values) - 2.0 if beyond[best] > 1.0 else math.inf)
         return Change(
             None if best == 0 else int(self._starts[best - 1]),
             float(sizes[0, best] / self._norms[best]),
-            float(_TWO_SIDED_90 * beyond[best] / self._norms[best]),
+            float(wide * beyond[best] / self._norms[best]),
             min(1.0, 2.0 * chances[best]),
         )
 

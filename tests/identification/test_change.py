@@ -54,6 +54,24 @@ def test_kind_place_and_size_are_stated(judge: ChangeTest) -> None:
     assert drift.half_width == pytest.approx(1.645 / np.sqrt(110.0 / 108.0), rel=1e-3)
 
 
+def test_an_interval_with_an_estimated_scatter_is_one_of_students_t(judge: ChangeTest) -> None:
+    rng, inside, drift = np.random.default_rng(3), 0, np.linspace(0.0, 300.0, RUNS)
+    for _ in range(2000):
+        found = judge(drift + rng.normal(0.0, 4.0, RUNS))
+        inside += abs(found.size - 300.0) <= found.half_width
+    # Five standard deviations around 90 %; the quantile of the normal distribution gives 86 %.
+    assert inside / 2000 == pytest.approx(0.90, abs=0.034)
+    step = 300.0 * (np.arange(RUNS) >= 5)
+    residual = np.array([3.0, -3.0] * 2 + [0.0] * 2 + [3.0, -3.0] * 2)
+    found = judge(step + residual)
+    scatter = np.sqrt(np.sum((step + residual - _fitted_step(step + residual)) ** 2) / 8.0)
+    assert found.half_width == pytest.approx(1.8595 * scatter / np.sqrt(2.5), rel=1e-3)
+
+
+def _fitted_step(values: np.ndarray) -> np.ndarray:
+    return np.repeat([values[:5].mean(), values[5:].mean()], 5)
+
+
 def test_a_poor_value_counts_little() -> None:
     errors = np.full(RUNS, 1.0)
     errors[-1] = 50.0
