@@ -192,6 +192,22 @@ def test_the_list_shows_copies_and_problems(root, capsys, tmp_path):
     assert "HALF WRITTEN" in (tmp_path / "page" / "report.html").read_text()
 
 
+def test_runs_that_match_and_are_not_listed_are_counted_as_earlier(root, monkeypatch):
+    from rig.results.catalogue import listing
+
+    counts, make = [], listing.listing_document
+
+    def made(folder: Path, entries: Any, hidden: int = 0, earlier: int = 0) -> Any:
+        counts.append((len(entries), hidden, earlier))
+        return make(folder, entries, hidden, earlier)
+
+    monkeypatch.setattr(listing, "listing_document", made)
+    words = ["runs", "list", str(root)]
+    for options in (["--last", "1"], ["--since", "2027-01-01"], []):
+        assert status([*words, *options]) == 0
+    assert counts == [(1, 0, 1), (1, 1, 0), (2, 0, 0)]
+
+
 def test_a_trend_of_one_constant_over_the_latest_runs(root, capsys):
     assert status(["runs", "trend", str(root), "--constant", "Mc", "--last", "1"]) == 0
     shown = capsys.readouterr().out

@@ -257,6 +257,17 @@ def test_lateness_is_shown_where_there_is_any(fields, clock, drawn, done):
     assert ("REAL BENCH" in html) is drawn
 
 
+def test_a_histogram_of_an_edited_record_cannot_add_markup(done: RunFolder) -> None:
+    part = done.record.parts[-1]
+    answer = dict(part.timing["answer"])
+    answer["edges_us"] = ["<script>x</script>"] * len(answer["edges_us"])
+    parts = [dataclasses.replace(part, timing={**part.timing, "answer": answer})]
+    record = dataclasses.replace(done.record, parts=parts)
+    html = write_run_report(done.path, record).read_text()
+    assert "&lt;script&gt;x" in html
+    assert "<script>x" not in html
+
+
 def test_a_run_waits_for_no_library_of_plots_tables_and_filters(short_sequence, tmp_path):
     code = (
         # python-can itself loads asammdf if it is installed.

@@ -126,9 +126,9 @@ def list_(
 
     entries, wanted = _chosen(folder, given)
     shown = latest(wanted, last)
-    hidden = len(entries) - len(shown)
+    hidden, earlier = len(entries) - len(wanted), len(wanted) - len(shown)
     write_asked(json_file, listing_record(folder, shown))
-    _show(listing_document(folder, shown, hidden), out)
+    _show(listing_document(folder, shown, hidden, earlier), out)
 
 
 @runs.command("show")

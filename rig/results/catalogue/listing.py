@@ -54,11 +54,21 @@ LIST_SCHEMA = "loadrig.runs/1"
 _MOST_PROBLEMS = 10
 
 
-def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> Document:
-    """Return runs as a table, and the problems of folders that contain no complete run."""
+def listing_document(
+    root: Path, entries: Sequence[Entry], hidden: int = 0, earlier: int = 0
+) -> Document:
+    """Return runs as a table, and the problems of folders that contain no complete run.
+
+    Args:
+        root: Folder of the runs.
+        entries: The listed runs.
+        hidden: Number of runs that do not match the options.
+        earlier: Number of runs that match and are not listed.
+    """
     rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
     listed = Table(COLUMNS, rows, ())
-    more = f"; {hidden} more do not match" if hidden else ""
+    more = f"; {earlier} earlier" if earlier else ""
+    more += f"; {hidden} more do not match" if hidden else ""
     count = Note(f"{len(entries)} run{'' if len(entries) == 1 else 's'}{more}")
     problems = [
         Note(f"{place(root, e)}: {text}", "warning")

@@ -242,7 +242,8 @@ def _timing(timing: Mapping[str, Any], record: RunRecord) -> Iterator[str]:
         shown = slice(filled[0], filled[-1] + 1)
         for edge, count in list(zip([*edges, "beyond"], counts, strict=True))[shown]:
             bar = f'<span class="bar" style="width:{10.0 * count / most:.2f}rem"></span>'
-            yield f'<tr><td>{edge}</td><td class="n">{count}</td><td>{bar}</td></tr>'
+            cells = f'<td>{escape(edge)}</td><td class="n">{count}</td><td>{bar}</td>'
+            yield f"<tr>{cells}</tr>"
         yield "</table></div>"
 
 
