@@ -23,6 +23,21 @@ _MODELICA = Language(
     logical="Boolean {0} := {1};",
     truth=("false", "true"),
 )
+NAMES = frozenset(
+    """
+    abs acos algorithm and annotation asin assert atan atan2 block boolean break cardinality ceil
+    change class clock connect connector constant constrainedby cos cosh cross delay der diagonal
+    discrete div each edge else elseif elsewhen encapsulated end enumeration equation exp expandable
+    extends external false fill final flow floor for function homotopy identity if import impure in
+    initial inner input integer interval linspace log log10 loop machine matrix max min mod model
+    ndims noevent not operator or outer output outerproduct package parameter partial pre product
+    protected public pure real record redeclare reinit rem replaceable return sample scalar sign sin
+    sinh size skew smooth spatialdistribution sqrt stream string sum symmetric tan tanh terminal
+    terminate test then time transpose true type vector when while within zeros ones
+    """.split()
+)
+"""Words of Modelica and of the texts here, in small letters, which cannot be the name of a model.
+"""
 _TEXT = """\
 // Simulation of @SOURCE@.
 // The model advances at every `interval`; set-valued friction holds the joint exactly still.

@@ -17,6 +17,7 @@ import pytest
 from identification.effects import GAS, MOTION
 from identification.effects.effect import Effect
 from identification.export.c import EVERY
+from identification.export.fmu import fmu_texts
 from identification.export.machine import INPUTS, Machine
 from identification.export.mjcf import grid_of
 from identification.model.parameters import pack
@@ -24,7 +25,15 @@ from identification.recording import Bench
 from identification.simulation.closed_loop import OPEN_LOOP, Inputs, simulate
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.model import FORMATS, SIMULATION, Model, exported, read_model
+from rig.results.model import (
+    FORMATS,
+    SIMULATION,
+    Model,
+    binary_place,
+    exported,
+    name_of,
+    read_model,
+)
 from rig.results.model import MOTION as MOTION_FILE
 
 PARAMETERS = {
@@ -262,6 +271,59 @@ def test_the_fmu_has_sources_and_a_binary(version: int, tmp_path: Path) -> None:
         cwd=folder / "fmu" / "sources",
         check=True,
     )
+
+
+@pytest.mark.parametrize(
+    ("folder", "name"),
+    [
+        ("demo", "demo"), ("Test", "m_Test"), ("fmu", "m_fmu"), ("initial", "m_initial"),
+        ("Angle", "m_Angle"), ("3 rd", "m_3_rd"), ("--", "m_model"),
+    ],
+)  # fmt: skip
+def test_no_model_has_the_name_of_another_file_or_a_keyword(folder: str, name: str) -> None:
+    assert name_of(folder) == name
+
+
+@compiler
+@pytest.mark.parametrize("folder", ["test", "fmu"])
+def test_a_folder_may_have_the_name_of_a_file_of_the_export(folder: str, tmp_path: Path) -> None:
+    model = read_model(result(tmp_path / folder))
+    found = exported(model, "c")
+    assert {f"m_{folder}.c", "test.c"} < set(found.files)
+    assert "c.test_motion.required" in found.checks
+    sources = fmu_texts(equations(model), 3)
+    assert f"m_{folder}_step(" in sources[f"sources/m_{folder}.c"]
+    modelica = exported(model, "modelica").files
+    assert modelica[f"m_{folder}.mo"] != modelica["test.mo"]
+
+
+@compiler
+def test_c_that_does_not_compile_is_an_error(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("rig.results.model._COMPILE", ("-std=none",))
+    with pytest.raises(InputError):
+        exported(read(tmp_path), "c")
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    found = exported(read(tmp_path), "c")
+    assert len(found.notes) == 1
+    assert not [k for k in found.checks if k.startswith("c.")]
+
+
+@pytest.mark.parametrize(
+    ("system", "kind", "fmi", "place"),
+    [
+        ("Linux", "x86_64", 2, "binaries/linux64/x.so"),
+        ("Linux", "aarch64", 3, "binaries/aarch64-linux/x.so"),
+        ("Darwin", "arm64", 3, "binaries/aarch64-darwin/x.dylib"),
+        ("Darwin", "x86_64", 2, "binaries/darwin64/x.dylib"),
+        ("Windows", "AMD64", 2, "binaries/win64/x.dll"),
+        ("Windows", "AMD64", 3, "binaries/x86_64-windows/x.dll"),
+        ("Linux", "aarch64", 2, None),
+    ],
+)
+def test_a_binary_lies_where_fmi_wants_it(system, kind, fmi, place, monkeypatch):
+    monkeypatch.setattr("platform.system", lambda: system)
+    monkeypatch.setattr("platform.machine", lambda: kind)
+    assert binary_place("x", fmi) == place
 
 
 @compiler

@@ -174,7 +174,7 @@ def model(
     torque that a motion requires. Effects that a format cannot contain are listed with their size.
 
     Each export comes with test inputs and expected outputs, and is compared with model.py before it
-    is written. The C and the FMU are compiled and run if this computer has a C compiler.
+    is written. The C is compiled and run, the FMU compiled, if this computer has a C compiler.
 
     \b
     Example:

@@ -29,7 +29,7 @@ from identification.export.c import EVERY, c_texts, s_function_text
 from identification.export.fmu import fmu_texts
 from identification.export.machine import INPUTS, Machine, machine
 from identification.export.mjcf import mjcf_texts
-from identification.export.modelica import modelica_test, modelica_text
+from identification.export.modelica import NAMES, modelica_test, modelica_text
 from identification.export.printed import simulation_text
 from identification.export.python import python_text
 from identification.recording import Array, Bench, Recording
@@ -50,6 +50,8 @@ BEYOND_STATIC = 1.5
 MOTION, SIMULATION = "test_motion.csv", "test_simulation.csv"
 PYTHON_FILE = "model.py"
 _COMPILE = ("-std=c99", "-O2")
+_TAKEN = frozenset({"fmu", "simstruc", *NAMES, *INPUTS, *EVERY})
+"""Names that no model has, in small letters: those of other files, and those of Modelica."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +138,7 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
         ranges["contact_force"] = low / bench.moment_arm, high / bench.moment_arm
     folder = path.resolve().parent
     folder = folder.parent if folder.name == "diagnosis" else folder
-    name = re.sub(r"\W", "_", folder.name, flags=re.ASCII).strip("_") or "model"
-    name = name if name[0].isalpha() else f"m_{name}"
+    name = name_of(folder.name)
     intervals = _intervals(record)
     made = None
     if corrected.parameters.get("J", 0.0) > 0.0:
@@ -149,6 +150,15 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
         if isinstance(entry, Mapping) and entry.get("value") is None and n in corrected.parameters
     )
     return Model(path, name, corrected, bench, made, intervals, ranges, notes).checked()
+
+
+def name_of(folder: str) -> str:
+    """Return the name of the model of a folder: an identifier that no format has for anything else,
+    in files nor in its language.
+    """
+    name = re.sub(r"\W", "_", folder, flags=re.ASCII).strip("_") or "model"
+    free = name[0].isalpha() and name.lower() not in _TAKEN
+    return name if free else f"m_{name}"
 
 
 def _intervals(record: Mapping[str, Any]) -> dict[str, tuple[float | None, float | None]]:
@@ -212,10 +222,10 @@ def _fmu(model: Model, m: Machine, tests: Mapping[str, str], fmi: int) -> Made:
     texts: dict[str, str | bytes] = dict(fmu_texts(m, fmi))
     with _written(texts) as folder:
         sources = [f"sources/{m.name}.c", "sources/fmu.c"]
-        flags = ("-fPIC", "-shared", "-fvisibility=hidden", "-o", "model.so")
-        if not _compiled(folder, *sources, *flags):
-            place = f"{platform.machine()}-linux" if fmi == 3 else "linux64"
-            texts[f"binaries/{place}/{m.name}.so"] = (folder / "model.so").read_bytes()
+        flags = ("-fPIC", "-shared", "-fvisibility=hidden", "-o", "binary")
+        place, compiler = binary_place(m.name, fmi), shutil.which("cc")
+        if place and compiler and not _compiled(compiler, folder, *sources, *flags):
+            texts[place] = (folder / "binary").read_bytes()
         else:
             notes = [*notes, "the FMU contains the sources alone; no binary could be compiled"]
     stream = io.BytesIO()
@@ -223,6 +233,17 @@ def _fmu(model: Model, m: Machine, tests: Mapping[str, str], fmi: int) -> Made:
         for name, content in sorted(texts.items()):
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
     return {f"{m.name}.fmu": stream.getvalue()}, notes, checks
+
+
+def binary_place(name: str, fmi: int) -> str | None:
+    """Return the place of this computer's binary in an FMU; None if FMI has none for it."""
+    system, kind = platform.system().lower(), platform.machine().lower()
+    kind = {"amd64": "x86_64", "arm64": "aarch64"}.get(kind, kind)
+    ending = {"linux": "so", "darwin": "dylib", "windows": "dll"}.get(system)
+    if ending is None or (fmi == 2 and kind != "x86_64"):
+        return None
+    short = "win64" if system == "windows" else f"{system}64"
+    return f"binaries/{f'{kind}-{system}' if fmi == 3 else short}/{name}.{ending}"
 
 
 def _modelica(model: Model, m: Machine, tests: Mapping[str, str], _fmi: int) -> Made:
@@ -446,27 +467,31 @@ def _written(texts: Mapping[str, str | bytes]) -> Iterator[Path]:
         yield folder
 
 
-def _compiled(folder: Path, *arguments: str) -> str:
-    """Compile C; return why it was not possible, or an empty text."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        return "this computer has no C compiler (cc)"
+def _compiled(compiler: str, folder: Path, *arguments: str) -> str:
+    """Compile C; return the first line of the error, or an empty text."""
     done = subprocess.run(
         [compiler, *_COMPILE, *arguments, "-lm"], cwd=folder, capture_output=True, text=True
     )
-    return "" if done.returncode == 0 else f"cc: {done.stderr.strip().splitlines()[0]}"
+    status = f"exit status {done.returncode}"
+    return (done.stderr.strip() or status).splitlines()[0] if done.returncode else ""
 
 
 def _run(texts: Mapping[str, str], name: str) -> tuple[list[str], dict[str, float]]:
     """Compile the C, and compare it with the test files.
 
     Raises:
-        InputError: The simulation amplifies rounding errors.
+        InputError: The compiler fails, or the simulation amplifies rounding errors.
         RuntimeError: The C differs from the test files.
     """
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return ["the C was not checked: this computer has no C compiler (cc)"], {}
     with _written(texts) as folder:
-        if problem := _compiled(folder, f"{name}.c", "test.c", "-o", "test"):
-            return [f"the C was not checked: {problem}"], {}
+        if problem := _compiled(compiler, folder, f"{name}.c", "test.c", "-o", "test"):
+            raise InputError(
+                f"{name}: the C cannot be checked, as {compiler} does not compile it: {problem}; "
+                "repair the compiler, or take it off the PATH to export without a check"
+            )
         done = subprocess.run([folder / "test"], cwd=folder, capture_output=True, text=True)
     lines = [line.split() for line in done.stdout.splitlines()]
     found = {f"{file.removesuffix('.csv')}.{key}": float(value) for file, key, value in lines}
