@@ -19,7 +19,8 @@ from identification.views.view import View
 #
 # A sentence of the catalogue has parameters in braces. A colon is followed by the unit of the
 # printed value (``{gap_rad:deg}``; with ``abs`` before the unit, the magnitude is printed), or by
-# two words of which the sign of the value selects one (``{torque_Nm:?higher/lower}``).
+# two words of which the sign of the value selects one (``{torque_Nm:?higher/lower}``), or by words
+# that are printed with the value unless it is zero (``{other_rad:|, another one at |deg}``).
 # ``{recordings}`` is replaced by the recordings in which the effect shows, ``{channel}`` by the
 # logged quantity from which the drive's torque is computed.
 
@@ -44,6 +45,7 @@ FACTORS: Mapping[tuple[str, str], float] = {
 }
 _SIZE = "abs "
 _CHOICE = "?"
+_UNLESS_ZERO = "|"
 
 
 def sentence(
@@ -103,6 +105,9 @@ def _field(estimate: Estimate, form: str) -> str:
     if form.startswith(_CHOICE):
         plus, _, minus = form.removeprefix(_CHOICE).partition("/")
         return plus if estimate.value >= 0.0 else minus
+    if form.startswith(_UNLESS_ZERO):
+        words, _, form = form.removeprefix(_UNLESS_ZERO).partition(_UNLESS_ZERO)
+        return f"{words}{readable(estimate, form)}" if estimate.value != 0.0 else ""
     if form.startswith(_SIZE):
         form = form.removeprefix(_SIZE)
         if estimate.value < 0.0:

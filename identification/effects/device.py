@@ -62,6 +62,12 @@ def _forces(context: Context) -> set[float]:
     return {round(v.recording.contact_force, 6) for v in context.views if v.loaded}
 
 
+def _travel(context: Context) -> tuple[float, float]:
+    """Return the least and the greatest angle, rad."""
+    ends = [(float(np.min(v.angle)), float(np.max(v.angle))) for v in context.views]
+    return min(low for low, _ in ends), max(high for _, high in ends)
+
+
 def _of_the_label(view: View, nominal: Nominal) -> Array:
     """Return the drive torque that is proportional to the labelled mass, N m."""
     if view.loaded:
@@ -187,7 +193,11 @@ class ConstantTorque(Effect):
 
 
 class EndStop(Effect):
-    """Elastic stop at one end of the travel or at both."""
+    """Elastic stop at one end of the travel or at both.
+
+    The sign of a single stop's angle is its end of the travel. A lower stop above zero and an upper
+    stop below zero are written as a pair whose other stop is outside the travel.
+    """
 
     equation = "J domega/dt = i Km I - M_f - M_L - k (theta - a) beyond the angle a, zero before it"
     implied = "the travel is free"
@@ -203,7 +213,7 @@ class EndStop(Effect):
         degree, in both directions: a stop pushes back at rest too, friction does not."""
     separation = Separation.TRAVEL
     sentence = """an elastic stop of {stiffness_Nm_rad:N m/deg} begins at
-        {angle_rad:deg}{other_rad:?/, and another one at the other end of the travel}"""
+        {angle_rad:deg}{other_rad:|, another one at |deg}"""
     refine = {1: 0.08, 2: 0.08}
     forms = {0: (UPPER, LOWER, BOTH)}
     positive = (0,)
@@ -217,8 +227,7 @@ class EndStop(Effect):
         return rows((side != LOWER) * above + (side != UPPER) * below)
 
     def shapes(self, context: Context) -> Sequence[Shape]:
-        low = min(float(np.min(v.angle)) for v in context.views)
-        high = max(float(np.max(v.angle)) for v in context.views)
+        low, high = _travel(context)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         return [
             (side, float(middle + share * half), float(middle - share * half))
@@ -226,8 +235,13 @@ class EndStop(Effect):
             for side in (UPPER, LOWER, BOTH)
         ]
 
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
+    def read(self, c: Array, shape: Shape, context: Context) -> Mapping[str, float]:
         side, upper, lower = shape
+        low, high = _travel(context)
+        if side == LOWER and lower >= 0.0:
+            side, upper = BOTH, min(2.0 * high - low, max(high, pi))
+        elif side == UPPER and upper < 0.0:
+            side, lower = BOTH, max(2.0 * low - high, min(low, -pi))
         return {
             "angle_rad": lower if side == LOWER else upper,
             "stiffness_Nm_rad": float(c[0]),

@@ -27,6 +27,14 @@ def middle(entry: Effect) -> dict[str, Estimate]:
     return found
 
 
+def test_a_value_of_zero_is_not_printed_where_the_words_say_so() -> None:
+    """A single end stop has one angle, a pair has two."""
+    entry = EFFECTS["end_stop"]
+    estimates = middle(entry) | {"other_rad": Estimate(0.0, 0.0, 0.0, "rad")}
+    assert sentence(entry, estimates).count(" deg") == 1
+    assert sentence(entry, middle(entry)).count(" deg") == 2
+
+
 @pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
 def test_an_entry_is_whole(entry: Effect) -> None:
     assert entry.shows_in in ("torque", "transmission", "voltage", "breakaway", "pressure")
@@ -51,7 +59,8 @@ def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
     assert entry.assumption in words
     for _, name, form, _ in Formatter().parse(entry.sentence):
         if name in estimates and form and not form.startswith("?"):
-            assert f" {form.removeprefix('abs ')} (" in words, f"{name} is not printed in {form}"
+            unit = form.rpartition("|")[2].removeprefix("abs ")
+            assert f" {unit} (" in words, f"{name} is not printed in {form}"
 
 
 def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:

@@ -2,12 +2,14 @@
 regressors and back.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from identification.effects import MOTION
+from identification.effects.device import BOTH, LOWER, UPPER
 from identification.effects.effect import Context, Effect
 from identification.effects.model import CorrectedModel, Curve, carried
 from identification.recording import Array, Bench, Recording
@@ -275,6 +277,28 @@ def test_parameters_come_back_from_regressors(effect: Effect, view: View) -> Non
         shape, coefficients = shape[:1], (shape[1] / 20.0 - 1.0,)
     found = effect.read(np.array(coefficients), shape, Context((view,), nominal))
     assert found == pytest.approx({q.name: given[q.name] for q in effect.parameters})
+
+
+@pytest.mark.parametrize(
+    ("side", "at", "middle"),
+    [
+        (LOWER, 0.2, 0.4), (LOWER, -0.2, -0.1), (UPPER, -0.2, -0.4), (UPPER, 0.2, 0.1),
+        (BOTH, 0.2, 0.4), (LOWER, 2.9, 3.1),
+    ],
+)  # fmt: skip
+def test_a_stop_keeps_its_end_of_the_travel(
+    side: float, at: float, middle: float, view: View
+) -> None:
+    nominal = Nominal(NOMINAL, tuple(NOMINAL), 2.0)
+    moved = dataclasses.replace(view, angle=view.angle - np.mean(view.angle) + middle)
+    shape = side, at + 0.4 * (side == BOTH), at
+    stop = next(e for e in MOTION if e.name == "end_stop")
+    found = stop.read(np.array([40.0]), shape, Context((moved,), nominal))
+    assert all(q.low <= found[q.name] <= max(q.high, 3.6) for q in stop.parameters)
+    again, size = stop.at(found, nominal)
+    expected = 40.0 * stop.torque(moved, nominal, shape)
+    assert np.max(np.abs(expected)) > 1.0
+    assert np.array(size) @ stop.torque(moved, nominal, again) == pytest.approx(expected[0])
 
 
 def test_what_rest_added_is_there_as_it_ends_and_gone_in_motion(view: View) -> None:
