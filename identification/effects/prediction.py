@@ -56,6 +56,17 @@ class Fitted:
         kept = self.covariance.only([n for n in self.covariance.names if n not in values])
         return dataclasses.replace(self, model=self.model.changed(values), covariance=kept)
 
+    def of_every_recording(self) -> tuple[Fitted, str]:
+        """Return the model without effects of one recording, and their names."""
+        model = self.model
+        lost = [n for n in model.effects if model.catalogue[n].place is not None]
+        kept = {n: own for n, own in model.effects.items() if n not in lost}
+        names = [n for n in self.covariance.names if n.partition(".")[0] not in lost]
+        left = dataclasses.replace(model, effects=kept)
+        return dataclasses.replace(
+            self, model=left, covariance=self.covariance.only(names)
+        ), ", ".join(lost)
+
     def draws(self, count: int, rng: np.random.Generator) -> Iterator[CorrectedModel]:
         """Yield models whose parameters are drawn from the covariance."""
         names, freedom = self.covariance.names, self.covariance.freedom
@@ -116,6 +127,7 @@ def predict(
     *,
     draws: int = 100,
     rng: np.random.Generator,
+    seen: View | None = None,
 ) -> Simulation:
     """Predict the response of a model to what a recording gives.
 
@@ -130,6 +142,8 @@ def predict(
         draws: Number of parameter sets from which the band is made; 0 for the band of the noise
             alone.
         rng: Random generator of these draws.
+        seen: View of a given motion among other recordings, at the bandwidth of the fit; None for
+            that of the recording alone, on a cold machine.
 
     Raises:
         RecordingError: The recording does not have what is asked for.
@@ -140,7 +154,7 @@ def predict(
         looped = recording.controller is not None and "command" in channels
         given = "command" if looped else "motion" if moves else "torque"
     if given == "motion":
-        return _required(fitted, recording, draws, rng)
+        return _required(fitted, recording, draws, rng, seen)
 
     def run(model: CorrectedModel, disturbance: Array | float = 0.0) -> Response:
         driven = given == "torque"
@@ -210,7 +224,11 @@ def _disturbance(model: CorrectedModel, view: View, time: Array) -> Array:
 
 
 def _required(
-    fitted: Fitted, recording: Recording, draws: int, rng: np.random.Generator
+    fitted: Fitted,
+    recording: Recording,
+    draws: int,
+    rng: np.random.Generator,
+    seen: View | None,
 ) -> Simulation:
     """Return the torque that the recorded motion requires, at the bandwidth of the fit."""
     bench, known = recording.bench, {"torque", "current", "voltage"} & recording.channels.keys()
@@ -220,7 +238,7 @@ def _required(
         nothing = {"torque": np.zeros(len(recording.time))}
         recording = dataclasses.replace(recording, channels={**recording.channels, **nothing})
     bandwidth = fitted.bandwidth_Hz or default_bandwidth(recording)
-    view = views_for([recording], bandwidth, fitted.model)[0]
+    view = seen or views_for([recording], bandwidth, fitted.model)[0]
 
     def steady(series: Array) -> Array:
         return np.where(view.moving, view.low_pass(series), np.nan)

@@ -179,7 +179,12 @@ def simulate(
     fitted = fitted_of(result, effects)
     if values:
         fitted = fitted.changed(values)
-    return predict(fitted, recording, given, draws=draws, rng=np.random.default_rng(rng))
+    fitted, lost = fitted.of_every_recording()
+    found = predict(fitted, recording, given, draws=draws, rng=np.random.default_rng(rng))
+    if not lost:
+        return found
+    warning = f"the response is without {lost}: in one recording of the fit alone"
+    return replace(found, warnings=(*found.warnings, warning))
 
 
 def plan(

@@ -275,6 +275,16 @@ def test_an_effect_that_adds_no_torque_is_said_to_be_left_out() -> None:
     assert any("backlash" in w for w in found.warnings)
 
 
+def test_an_effect_of_one_recording_is_not_in_another() -> None:
+    wrong = {"wrong_weight.mass_kg": 60.0, "wrong_weight.recording": 1.0}
+    motion = sine(weight=30.6)
+    plain = lr.simulate(TRUTH, motion, draws=0)
+    found = lr.simulate({**TRUTH, **wrong}, motion, draws=0)
+    np.testing.assert_array_equal(found.torque, plain.torque)
+    assert len(found.warnings) == len(plain.warnings) + 1
+    assert "wrong_weight" in found.warnings[-1]
+
+
 def test_what_is_given_decides_what_is_predicted(found: Any) -> None:
     looped = lr.simulate(found, SWING, rng=0)
     made = lr.Recording(TIME, looped.angle, torque=looped.torque, bench=BENCH)

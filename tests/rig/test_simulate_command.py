@@ -12,6 +12,7 @@ import pytest
 from identification.recording import Controller, Recording
 from identification.simulation.closed_loop import replay
 from rig.cli.entry import status
+from rig.results.identify.simulate import simulate_source
 
 FRICTION = {"J": 0.2, "Mc": 6.0, "Ms": 11.0, "omega_sf": 0.06, "sigma_2": 5.0}
 CAMPAIGN = """\
@@ -207,6 +208,29 @@ def test_the_corrected_model_predicts_what_the_nominal_one_does_not(lagging, tmp
     assert "note: no closed loop: the controller of these recordings is not declared" in printed
     assert {p.stem for p in (out / "figures").iterdir()} == {"predicted_free", "predicted_later"}
     assert "found.json" in (out / "report.html").read_text()
+
+
+def test_the_band_is_around_the_torque_of_the_recording_in_its_place(
+    lagging: Path, tmp_path: Path
+) -> None:
+    """A drift goes on from recording to recording."""
+    later = np.loadtxt(tmp_path / "later.csv", delimiter=",", skiprows=1)
+    later[:, 0] += 20.0
+    np.savetxt(tmp_path / "later.csv", later, delimiter=",", header="t,q,phi,i", comments="")
+    drift = {"rate_Nm_s": 0.05, "time_s": 1000.0}
+    given = {k: {"value": v, "low": v, "high": v, "unit": ""} for k, v in drift.items()}
+    found = diagnosed(
+        tmp_path,
+        effects=[{"name": "coulomb_drift", "where": {"recordings": []}, "parameters": given}],
+        covariance={"names": ["Mc"], "matrix": [[1e-4]], "freedom": None},
+        fit={"equation": "torque", "unit": "N m", "final_rms": 0.1, "bandwidth_Hz": 10.0},
+        ranges={},
+    )
+    made = simulate_source(lagging, found, None, lambda *_: None)
+    parts = [p for p in made.predictions[0].parts if p.equation == "torque"]
+    assert len(made.bands) == len(parts) == 2
+    for band, part in zip(made.bands, parts, strict=True):
+        np.testing.assert_allclose(band.torque, part.model, atol=1e-9)
 
 
 def test_a_curve_is_carried_where_there_is_no_name(lagging: Path, tmp_path: Path) -> None:

@@ -216,9 +216,9 @@ def _bands(
     if fitted is None:
         return ()
     fitted = dataclasses.replace(fitted, bandwidth_Hz=bandwidth_Hz)
-    rng = np.random.default_rng(0)
+    rng, seen = np.random.default_rng(0), views_for(dataset.recordings, bandwidth_Hz, model)
     return tuple(
-        prediction.predict(fitted, recording, "motion", rng=rng) for recording in dataset.recordings
+        prediction.predict(fitted, view.recording, "motion", rng=rng, seen=view) for view in seen
     )
 
 
