@@ -446,7 +446,7 @@ def c_texts(machine: Machine) -> dict[str, str]:
         if value is not None
     ]
     ranges = [
-        (f"{n}_{end}", value, EVERY.get(n, INPUTS.get(n, ("", "")))[0])
+        (f"{n}_{end}", value, machine.unit_of(n) if n in {**EVERY, **INPUTS} else "")
         for n, ends in machine.ranges.items()
         for end, value in zip(("LEAST", "GREATEST"), ends, strict=True)
     ]
@@ -483,8 +483,8 @@ def s_function_text(machine: Machine) -> str:
     return filled(
         _S_FUNCTION,
         machine,
-        INPUTS=", ".join(f"{n} ({machine.unit(u)})" for n, (u, _) in INPUTS.items()),
-        OUTPUTS=", ".join(f"{n} ({machine.unit(u)})" for n, (u, _) in EVERY.items()),
+        INPUTS=", ".join(f"{n} ({machine.unit_of(n)})" for n in INPUTS),
+        OUTPUTS=", ".join(f"{n} ({machine.unit_of(n)})" for n in EVERY),
         INPUT_COUNT=str(len(INPUTS)),
         OUTPUT_COUNT=str(len(EVERY)),
         COPIES=_lines([f"out[{k}] = y->{n};" for k, n in enumerate(EVERY)]),
@@ -497,12 +497,12 @@ def _lines(lines: Sequence[str]) -> str:
 
 
 def _members(machine: Machine, signals: Mapping[str, tuple[str, str]]) -> str:
-    return _lines([f"double {n}; /* {machine.unit(u)}: {w} */" for n, (u, w) in signals.items()])
+    return _lines([f"double {n}; /* {machine.unit_of(n)}: {w} */" for n, (_, w) in signals.items()])
 
 
 def _macros(machine: Machine, values: Sequence[tuple[str, float, str]]) -> str:
     lead = machine.name.upper()
     return "".join(
-        f"#define {lead}_{name.upper()} {number(value)} /* {machine.unit(unit)} */\n"
+        f"#define {lead}_{name.upper()} {number(value)} /* {unit} */\n"
         for name, value, unit in values
     )

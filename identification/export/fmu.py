@@ -298,12 +298,15 @@ class _Variable(NamedTuple):
 
 def _variables(machine: Machine) -> list[_Variable]:
     """Return all variables in the order of their value references."""
+    unit = machine.unit_of
     return [
         _Variable("time", "time", "independent", "s", "", None),
-        *(_Variable(n, f"u.{n}", "input", u, w, 0.0) for n, (u, w) in INPUTS.items()),
-        *(_Variable(n, f"y.{n}", "output", u, w, None) for n, (u, w) in EVERY.items()),
-        _Variable("start_angle", "start_angle", "parameter", "rad", "angle at the start", 0.0),
-        _Variable("start_velocity", "start_velocity", "parameter", "rad/s", "speed", 0.0),
+        *(_Variable(n, f"u.{n}", "input", unit(n), w, 0.0) for n, (_, w) in INPUTS.items()),
+        *(_Variable(n, f"y.{n}", "output", unit(n), w, None) for n, (_, w) in EVERY.items()),
+        _Variable(
+            *("start_angle", "start_angle", "parameter", unit("angle")), "angle at the start", 0.0
+        ),
+        _Variable("start_velocity", "start_velocity", "parameter", unit("velocity"), "speed", 0.0),
         _Variable(
             *("largest_step", "m.largest_step", "parameter", "s"),
             "a longer step is divided",
@@ -348,7 +351,7 @@ def _build_description(machine: Machine) -> str:
 
 def _description(machine: Machine, version: int, token: str) -> str:
     variables = _variables(machine)
-    units = sorted({machine.unit(v.unit) for v in variables})
+    units = sorted({v.unit for v in variables})
     named = "guid" if version == 2 else "instantiationToken"
     state = "FMUstate" if version == 2 else "FMUState"
     files = "".join(f'<File name="{n}"/>' for n in (f"{machine.name}.c", "fmu.c"))
@@ -374,7 +377,7 @@ def _description(machine: Machine, version: int, token: str) -> str:
         head += f' variability="{"fixed" if fixed else "continuous"}"'
         words = f" description={quoteattr(v.words)}" if v.words else ""
         start = "" if v.start is None else f' start="{v.start!r}"'
-        unit = f" unit={quoteattr(machine.unit(v.unit))}"
+        unit = f" unit={quoteattr(v.unit)}"
         if version == 3:
             lines.append(f"    <Float64 {head}{words}{unit}{start}/>")
         else:

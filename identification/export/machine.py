@@ -125,6 +125,7 @@ class Machine:
         ranges: Signal to least and greatest value in the recordings.
         left_out: What the simulation lacks.
         source: Where the model is from, for comments.
+        amperes: Whether torques are in amperes.
     """
 
     name: str
@@ -137,10 +138,16 @@ class Machine:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     left_out: tuple[LeftOut, ...] = ()
     source: str = ""
+    amperes: bool = False
 
     def unit(self, rotary: str) -> str:
         """Return a unit on this bench."""
-        return unit_on(self.motion, rotary)
+        return unit_on(self.motion, rotary, self.amperes)
+
+    def unit_of(self, signal: str) -> str:
+        """Return the unit of an input or output; the motor's angle is in rad on any bench."""
+        unit, _ = {**SIGNALS, **INPUTS, **OUTPUTS}[signal]
+        return unit if signal == "motor_angle" else self.unit(unit)
 
     def steady(self, speed: Array, angle: Array, contact_force: float = 0.0) -> Array:
         """Return the motor torque that steady motion requires, N m at the joint, shape (n,).
@@ -220,6 +227,7 @@ def machine(
     ranges: Mapping[str, tuple[float, float]],
     source: str = "",
     own: bool = True,
+    amperes: bool = False,
 ) -> Machine:
     """Return the equations of a corrected model.
 
@@ -231,9 +239,9 @@ def machine(
         ranges: Signal to its least and greatest value in the recordings.
         source: Where the model is from, for comments.
         own: Whether to contain effects of one's own as far as their functions allow it.
+        amperes: Whether the torques of the model are in amperes.
     """
     motion, quantities = bench.motion, _Quantities(intervals)
-    amperes = bench.torque_constant is None
     values = {
         n: quantities(n, v, unit_on(motion, UNITS_ROTARY.get(n, "1"), amperes), "nominal model")
         for n, v in model.parameters.items()
@@ -248,7 +256,10 @@ def machine(
             ("back_emf_constant", "Ke", bench.back_emf_constant, "V s/rad"),
             ("moment_arm", "L1", bench.moment_arm, "m"),
             ("gear_ratio", "i", bench.gear_ratio, "1" if motion == "rotary" else "rad/m"),
-            ("torque_constant", "Km", bench.torque_constant or 1.0 / bench.gear_ratio, "N m/A"),
+            (
+                *("torque_constant", "Km", bench.torque_constant or 1.0 / bench.gear_ratio),
+                "1" if amperes else "N m/A",
+            ),
         )
     }
     known = SimpleNamespace(
@@ -282,7 +293,7 @@ def machine(
             q.name: quantities(
                 f"{each}.{q.name}",
                 given[q.name],
-                parameter_unit(motion, q.name, q.unit) or "1",
+                parameter_unit(motion, q.name, q.unit, amperes) or "1",
                 effect.equation,
             )
             for q in effect.parameters
@@ -337,7 +348,8 @@ def machine(
     kept = tuple(q for n, q in quantities.found.items() if n in used)
     step = _largest_step(model, bench.moment_arm, ranges)
     return Machine(
-        name, motion, kept, outputs, residual, memories, step, ranges, tuple(left_out), source
+        *(name, motion, kept, outputs, residual, memories, step, ranges, tuple(left_out), source),
+        amperes=amperes,
     )
 
 

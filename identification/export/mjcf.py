@@ -114,7 +114,7 @@ def mjcf_texts(
         values: Nominal parameters and constants of the bench by the names of the machine's
             parameters.
     """
-    grid = grid_of(machine)
+    grid, force_unit = grid_of(machine), machine.unit("N m")
     torque = machine.steady(*grid)
     linear = machine.motion == "linear"
     plain = fitted(torque, grid, linear)
@@ -127,12 +127,12 @@ def mjcf_texts(
         other = fitted(machine.steady(*grid, force), grid, linear)
         loaded = (
             f"  With a contact force of {force:g} N: damping {other.damping:.6g}, frictionloss "
-            f"{other.friction:.6g}, error {_rms(other.error):.4g} N m rms.\n"
+            f"{other.friction:.6g}, error {_rms(other.error):.4g} {force_unit} rms.\n"
         )
     head = (
         f"  {machine.source}\n  Fitted to steady motion from {np.min(grid.angle):.4g} to "
-        f"{np.max(grid.angle):.4g} rad at up to {np.max(grid.speed):.4g} rad/s, without contact "
-        "force.\n"
+        f"{np.max(grid.angle):.4g} {machine.unit('rad')} at up to {np.max(grid.speed):.4g} "
+        f"{machine.unit('rad/s')}, without contact force.\n"
     )
     # With MuJoCo's usual softness the joint creeps under dry friction up to 0.05 rad/s.
     kinetic = (
@@ -141,14 +141,16 @@ def mjcf_texts(
     )
     motor = f'<motor name="current" joint="joint" gear="{ampere_torque:.10g}"/>'
     note = (
-        f"{head}  Error of the torque: {_rms(plain.error):.4g} N m rms, greatest "
-        f"{np.max(np.abs(plain.error)):.4g} N m, of {_rms(torque):.4g} N m rms.\n{loaded}{dropped}"
+        f"{head}  Error of the torque: {_rms(plain.error):.4g} {force_unit} rms, greatest "
+        f"{np.max(np.abs(plain.error)):.4g} {force_unit}, of {_rms(torque):.4g} {force_unit} rms.\n"
+        f"{loaded}{dropped}"
         "  Control: motor current, A.\n"
     )
     texts = {"plain.xml": _document(machine, plain, inertia, kinetic, motor, note)}
     resistance = value.get("resistance", 0.0)
     if (
         resistance > 0.0
+        and values.get("torque_constant", 0.0) > 0.0
         and value.get("back_emf_constant", 0.0) > 0.0
         and value.get("Mc", 0.0) > 0.0
     ):
@@ -188,10 +190,11 @@ def _dc_motor(
     if len(position):
         rest = _least_squares(position, rest)[1]
     constants = value["torque_constant"], value["back_emf_constant"]
+    force_unit = machine.unit("N m")
     note = (
         f"{head}  For MuJoCo {MUJOCO} and later: actuator dcmotor with LuGre friction, which "
-        f"deflects {BREAKAWAY_RAD:g} rad\n  before breakaway. Error of the torque: "
-        f"{_rms(rest):.4g} N m rms, greatest {np.max(np.abs(rest)):.4g} N m.\n"
+        f"deflects {BREAKAWAY_RAD:g} {machine.unit('rad')}\n  before breakaway. Error of the torque: "
+        f"{_rms(rest):.4g} {force_unit} rms, greatest {np.max(np.abs(rest)):.4g} {force_unit}.\n"
         f"  The motor has one constant, {math.sqrt(constants[0] * constants[1]):.6g}, in place of "
         f"Km {constants[0]:.6g} N m/A and Ke {constants[1]:.6g} V s/rad;\n  no inductance.\n"
         f"{dropped}  Control: voltage, V.\n"
@@ -204,10 +207,11 @@ def _dropped(
 ) -> str:
     """Return one line for each effect, with the torque that the passive joint lacks."""
     lines = []
+    unit = machine.unit("N m")
     for name, other in without.items():
         own = torque - other.steady(*grid)
         left = _least_squares(plain.basis, own)[1]
-        words = f"{_rms(left):.4g} N m rms of its {_rms(own):.4g} N m are left out"
+        words = f"{_rms(left):.4g} {unit} rms of its {_rms(own):.4g} {unit} are left out"
         if not np.any(own):
             words = "left out; it has no torque in steady motion"
         elif _rms(left) <= 1e-6 * _rms(own):

@@ -186,7 +186,7 @@ def modelica_text(machine: Machine) -> str:
     assigned = [f"y[{k}] := {text};" for k, text in enumerate(kept, 1)]
 
     def declared(kind: str, name: str, unit: str, value: float, words: str) -> str:
-        unit = f'unit = "{_unit(machine.unit(unit))}"'
+        unit = f'unit = "{_unit(unit)}"'
         start = f"start = {number(value)}, " if kind == "input" else ""
         given = f" = {number(value)}" if kind == "parameter" else ""
         return f'  {kind} Real {name}({start}{unit}){given} "{words}";\n'
@@ -201,10 +201,14 @@ def modelica_text(machine: Machine) -> str:
             for q in machine.parameters
         ),
         STEP=number(machine.largest_step),
-        ANGLE=_unit(machine.unit("rad")),
-        SPEED=_unit(machine.unit("rad/s")),
-        INPUTS="".join(declared("input", n, u, 0.0, w) for n, (u, w) in INPUTS.items()),
-        OUTPUTS="".join(declared("output", n, u, 0.0, w) for n, (u, w) in EVERY.items()),
+        ANGLE=_unit(machine.unit_of("angle")),
+        SPEED=_unit(machine.unit_of("velocity")),
+        INPUTS="".join(
+            declared("input", n, machine.unit_of(n), 0.0, w) for n, (_, w) in INPUTS.items()
+        ),
+        OUTPUTS="".join(
+            declared("output", n, machine.unit_of(n), 0.0, w) for n, (_, w) in EVERY.items()
+        ),
         SIZE=str(len(EVERY) + 1 + len(members)),
         COUNT=str(len(places)),
         RESIDUAL=_body(lines, [f"missing := {missing};"]),

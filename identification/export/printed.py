@@ -284,8 +284,8 @@ def simulation_text(machine: Machine) -> str:
     notes = "".join(f"Not in the simulation: {left.words}.\n" for left in machine.left_out)
     return _PYTHON_TEXT.format(
         source=machine.source,
-        inputs=", ".join(f"{n} ({machine.unit(u)})" for n, (u, _) in INPUTS.items()),
-        outputs=", ".join(f"{n} ({machine.unit(u)})" for n, (u, _) in OUTPUTS.items()),
+        inputs=", ".join(f"{n} ({machine.unit_of(n)})" for n in INPUTS),
+        outputs=", ".join(f"{n} ({machine.unit_of(n)})" for n in OUTPUTS),
         notes=notes,
         parameters="".join(
             f"    {q.name!r}: {q.value!r},  # {q.unit}{q.interval}\n" for q in machine.parameters

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from identification.effects import GAS, MOTION
 from identification.effects.effect import Effect
@@ -452,6 +453,76 @@ def test_a_linear_bench_has_linear_units(tmp_path: Path) -> None:
     assert "double J; /* kg */" in header
     assert "double angle; /* m:" in header
     assert model.bench == Bench(motion="linear", **CONSTANTS)
+
+
+@pytest.mark.parametrize("unit", ["N m", "A"])
+def test_a_bench_without_a_torque_constant_has_the_unit_of_the_fit(unit: str, tmp_path) -> None:
+    """Of a torque channel, or of the current."""
+    folder = result(
+        tmp_path / "demo",
+        [named("constant_torque")],
+        constants={**CONSTANTS, "torque_constant": None},
+        fit={"equation": "torque", "unit": unit},
+    )
+    model = read_model(folder)
+    found = {q.name: q.unit for q in equations(model).parameters}
+    assert found["Mc"] == found["constant_torque_torque_Nm"] == unit
+    assert found["J"] == ("kg m^2" if unit == "N m" else "A s^2/rad")
+    assert {equations(model).unit_of(n) for n in ("required", "drive", "load_torque")} == {unit}
+    header = exported(model, "c").files["demo.h"]
+    assert f"double required; /* {unit}:" in header
+    written = yaml.safe_load(exported(model, "yaml").files["demo.yaml"])
+    assert written["parameters"]["Mc"]["unit"] == unit
+    files = exported(model, "mjcf").files
+    assert 'gear="1"' in files["plain.xml"]
+    assert "Error of the torque: " in files["plain.xml"]
+    assert f" {unit} rms" in files["plain.xml"]
+    assert set(files) == {"plain.xml"}
+
+
+def test_the_yaml_has_the_unit_of_what_no_equation_uses(tmp_path: Path) -> None:
+    model = read_model(
+        result(
+            tmp_path / "demo",
+            [named(n) for n in ("time_skew", "wrong_weight", "encoder_slip", "cogging")],
+            parameters={**PARAMETERS, "R": 1.5, "Ke": 0.026, "J_r": 0.1},
+        )
+    )
+    written = yaml.safe_load(exported(model, "yaml").files["demo.yaml"])
+    units = {n: e["unit"] for n, e in written["parameters"].items()}
+    assert (units["R"], units["Ke"], units["J_r"], units["mu_c"]) == (
+        *("ohm", "V s/rad", "kg m^2"),
+        "1",
+    )
+    units = {f"{e}.{n}": q["unit"] for e, own in written["effects"].items() for n, q in own.items()}
+    assert units["time_skew.time_s"] == "s"
+    assert units["wrong_weight.mass_kg"] == "kg"
+    assert units["encoder_slip.angle_rad"] == "rad"
+    assert units["cogging.per_motor_turn"] == "1/turn"
+    assert units["wrong_weight.recording"] == "1"
+
+
+def test_angles_of_the_motor_and_phases_are_in_rad_on_a_linear_bench(tmp_path: Path) -> None:
+    model = read_model(result(tmp_path / "demo", [named("cogging")], motion="linear"))
+    m = equations(model)
+    assert m.unit_of("motor_angle") == "rad"
+    header = exported(model, "simulink").files
+    assert "double motor_angle; /* rad:" in header["demo.h"]
+    assert "#define DEMO_COGGING_PHASE_RAD_LOW" in header["demo.h"]
+    line = next(x for x in header["demo.h"].splitlines() if "COGGING_PHASE_RAD_LOW" in x)
+    assert line.endswith("/* rad */")
+    assert "motor_angle (rad)" in header["demo_sfun.c"]
+    description = fmu_texts(m, 3)["modelDescription.xml"]
+    for name, unit in (("motor_angle", "rad"), ("cogging_phase_rad", "rad"), ("angle", "m")):
+        (line,) = (x for x in description.splitlines() if f'name="{name}"' in x)
+        assert f'unit="{unit}"' in line
+    modelica = exported(model, "modelica").files["demo.mo"]
+    for name, unit in (("motor_angle", "rad"), ("cogging_phase_rad", "rad"), ("angle", "m")):
+        (line,) = (x for x in modelica.splitlines() if re.search(rf" Real {name}\(", x))
+        assert f'unit = "{unit}"' in line
+    plain = exported(model, "mjcf").files["plain.xml"]
+    assert " rad" not in plain.split("-->")[0]
+    assert " N m" not in plain.split("-->")[0]
 
 
 @compiler

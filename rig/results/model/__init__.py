@@ -32,6 +32,7 @@ from identification.export.mjcf import mjcf_texts
 from identification.export.modelica import NAMES, modelica_test, modelica_text
 from identification.export.printed import simulation_text
 from identification.export.python import python_text
+from identification.model.parameters import UNITS_ROTARY, parameter_unit
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.places import is_file, is_folder
@@ -49,6 +50,8 @@ BEYOND_STATIC = 1.5
 """Greatest torque of the current in the test files, relative to static friction."""
 MOTION, SIMULATION = "test_motion.csv", "test_simulation.csv"
 PYTHON_FILE = "model.py"
+_UNITS = {**UNITS_ROTARY, "R": "ohm", "Ke": "V s/rad", "J_r": "kg m^2"}
+"""Units of the parameters on a rotary bench."""
 _COMPILE = ("-std=c99", "-O2")
 _TAKEN = frozenset({"fmu", "simstruc", *NAMES, *INPUTS, *EVERY})
 """Names that no model has, in small letters: those of other files, and those of Modelica."""
@@ -68,12 +71,14 @@ class Model:
     ranges: Mapping[str, tuple[float, float]]  # signal to its least and greatest value
     notes: tuple[str, ...]  # what the reader should know
     own: bool = True  # whether the equations contain effects of one's own
+    amperes: bool = False  # whether torques are in amperes
 
     def without(self, effect: str) -> Machine:
         """Return the equations without one effect."""
         kept = {n: v for n, v in self.corrected.effects.items() if n != effect}
         plain = replace(self.corrected, effects=kept)
-        return machine(self.name, plain, self.bench, {}, self.ranges, own=self.own)
+        given = self.bench, {}, self.ranges, "", self.own, self.amperes
+        return machine(self.name, plain, *given)
 
     def checked(self) -> Model:
         """Return the model, without equations of effects of one's own if they are not those of
@@ -89,7 +94,8 @@ class Model:
             return self
         except (RuntimeError, ValueError):
             given = self.corrected, self.bench, self.intervals, self.ranges, self.machine.source
-            return replace(self, machine=machine(self.name, *given, own=False), own=False)
+            made = machine(self.name, *given, own=False, amperes=self.amperes)
+            return replace(self, machine=made, own=False)
         return self
 
 
@@ -143,13 +149,24 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
     made = None
     if corrected.parameters.get("J", 0.0) > 0.0:
         source = f"the model in {path.name} of {folder.name}"
-        made = machine(name, corrected, bench, intervals, ranges, source)
+        made = machine(
+            name, corrected, bench, intervals, ranges, source, amperes=_in_amperes(record)
+        )
     notes = tuple(
         f"{n}: the recordings do not determine this parameter; the fitted value is used"
         for n, entry in record.get("parameters", {}).items()
         if isinstance(entry, Mapping) and entry.get("value") is None and n in corrected.parameters
     )
-    return Model(path, name, corrected, bench, made, intervals, ranges, notes).checked()
+    return Model(
+        *(path, name, corrected, bench, made, intervals, ranges, notes),
+        amperes=_in_amperes(record),
+    ).checked()
+
+
+def _in_amperes(record: Mapping[str, Any]) -> bool:
+    """Whether the torque equation of a result is in amperes."""
+    fits = [*record.get("fits", ()), record.get("fit", {})]
+    return any(f.get("equation", "torque") == "torque" and f.get("unit") == "A" for f in fits)
 
 
 def name_of(folder: str) -> str:
@@ -258,10 +275,14 @@ def _modelica(model: Model, m: Machine, tests: Mapping[str, str], _fmi: int) -> 
 def _mjcf(model: Model, m: Machine, _tests: Mapping[str, str], _fmi: int) -> Made:
     without = {name: model.without(name) for name in model.corrected.effects}
     values = {**model.corrected.parameters}
-    for key in ("torque_constant", "back_emf_constant", "resistance", "gear_ratio"):
-        values[key] = getattr(model.bench, key) or 0.0
-    values["resistance"] = values.get("R", values["resistance"])
-    values["back_emf_constant"] = values.get("Ke", values["back_emf_constant"])
+    bench = model.bench
+    known = {
+        "torque_constant": bench.torque_constant,
+        "gear_ratio": bench.gear_ratio,
+        "resistance": values.get("R", bench.resistance),
+        "back_emf_constant": values.get("Ke", bench.back_emf_constant),
+    }
+    values |= {n: value for n, value in known.items() if value is not None}
     return mjcf_texts(m, without, values["J"], values), (), {}
 
 
@@ -292,13 +313,18 @@ def _yaml(model: Model) -> str:
         model.name,
         replace(model.corrected, parameters={**model.corrected.parameters, "J": 1.0}),
         *(model.bench, model.intervals, model.ranges),
+        amperes=model.amperes,
     )
-    units = {q.name: q.unit for q in m.parameters}
+    units = {n: m.unit(u) for n, u in _UNITS.items()} | {
+        f"{name}.{q.name}": parameter_unit(m.motion, q.name, q.unit, m.amperes) or "1"
+        for name in model.corrected.effects
+        for q in model.corrected.catalogue[name].parameters
+    }
 
     def entry(key: str, value: float) -> dict[str, Any]:
         low, high = model.intervals.get(key, (None, None))
         ends = {} if low is None or high is None else {"low": float(low), "high": float(high)}
-        return {"value": float(value), "unit": units.get(key.replace(".", "_"), "1"), **ends}
+        return {"value": float(value), "unit": units.get(key, "1"), **ends}
 
     record = {
         "model": 2,
