@@ -155,6 +155,7 @@ class CorrectedModel:
             "zero_A": nominal.zero_A,
             "efficiency": nominal.efficiency,
             "presliding_stiffness": nominal.presliding_stiffness,
+            "late_s": nominal.late_s,
             "ripple": [float(x) for part in nominal.ripple for x in part],
             "alpha": self.alpha,
             **{name: float(value or 0.0) for name, value in constants.items()},

@@ -16,9 +16,10 @@ import numpy as np
 from identification.effects.model import COORDINATES, CorrectedModel, Response
 from identification.effects.own import OwnEffect, Seen, sampled, samples_of
 from identification.numerics.arrays import Array
-from identification.numerics.series import sine_cosine
+from identification.numerics.series import delayed_series, sine_cosine
 from identification.recording import Recording
 from identification.views.nominal import NominalTorque, winding_voltage
+from identification.views.view import DELAYED
 
 _CACHED = re.compile(r"^ *@(compiled|recent)\n", re.MULTILINE)
 """Decorators of functions that the file has without compiler and cache."""
@@ -71,8 +72,8 @@ import numpy as np
 Array = np.ndarray
 M = {numbers}
 """Nominal parameters and constants of the bench, SI, at the joint but for R, L and Ke; the load
-that turns with the joint, the zero of the current, the gear's efficiency, the presliding stiffness
-and the torque ripple are those of the effects.
+that turns with the joint, the zero of the current, the gear's efficiency, the presliding stiffness,
+the torque ripple and the time by which the torque is late are those of the effects.
 """
 EFFECTS = {values}
 """Parameters of the effects, SI."""
@@ -119,8 +120,9 @@ def voltage(s: Any) -> Array:
 
 def _sum(effects: Any, s: Any) -> Array:
     total = np.zeros(len(s["time"]))
-    for regressors, shape, coefficients in effects:
-        total = total + np.array(coefficients) @ regressors(s, NOMINAL, shape)
+    for regressors, shape, coefficients, late in effects:
+        seen = s.delayed(M["late_s"]) if late else s
+        total = total + np.array(coefficients) @ regressors(seen, NOMINAL, shape)
     return total
 
 
@@ -235,6 +237,16 @@ class Signals:
         other.__dict__.update({**self.__dict__, "velocity": velocity})
         return other
 
+    def delayed(self, late_s: float) -> Signals:
+        """Return the signals with the motion as late as the samples of the torque."""
+        other = Signals.__new__(Signals)
+        other.__dict__.update(self.__dict__)
+        for name in (*DELAYED, "drive_angle", "rotor_acceleration"):
+            setattr(other, name, delayed_series(getattr(self, name), self.step, late_s))
+        other.sense = np.clip(other.sense, -1.0, 1.0)
+        other.transmitted = other.torque - other.known
+        return other
+
     def __getitem__(self, name: str) -> Any:
         """Return a signal by its name."""
         return getattr(self, name)
@@ -286,9 +298,9 @@ def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
 
 
 def _plain(response: Response) -> str:
-    """Return nonlinear parameters and coefficients as literals."""
+    """Return nonlinear parameters, coefficients and whether the signals are late as literals."""
     shape, coefficients = map(np.array, (response.shape, response.coefficients))
-    return f"{tuple(shape.tolist())!r}, {tuple(coefficients.tolist())!r}"
+    return f"{tuple(shape.tolist())!r}, {tuple(coefficients.tolist())!r}, {response.late!r}"
 
 
 class _Source:

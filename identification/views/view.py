@@ -607,6 +607,13 @@ def voltage_is_computed(recording: Recording) -> bool:
     return float(np.max(np.abs(volts - _law(recording, 0.0))[known])) <= AS_COMPUTED * greatest
 
 
+DELAYED = (
+    *("angle", "velocity", "acceleration", "known", "hanging", "moment", "sense", "motor"),
+    "motor_speed",
+)
+"""Signals of the motion, which are delayed like the samples of the torque."""
+
+
 def delayed_view(view: View, late_s: float) -> View:
     """Return a view whose motion is delayed like the samples of the torque, for effects that depend
     on the angle.
@@ -626,18 +633,8 @@ def _moved(view: View, late_s: float) -> View:
     def late(series: Array) -> Array:
         return delayed_series(series, view.step, late_s)
 
-    return replace(
-        view,
-        angle=late(view.angle),
-        velocity=late(view.velocity),
-        acceleration=late(view.acceleration),
-        known=late(view.known),
-        hanging=late(view.hanging),
-        moment=late(view.moment),
-        sense=np.clip(late(view.sense), -1.0, 1.0),
-        motor=late(view.motor),
-        motor_speed=late(view.motor_speed),
-    )
+    moved = {name: late(getattr(view, name)) for name in DELAYED}
+    return replace(view, **{**moved, "sense": np.clip(moved["sense"], -1.0, 1.0)})
 
 
 def _law(recording: Recording, late_s: float) -> Array:

@@ -488,6 +488,7 @@ def test_the_yaml_has_the_unit_of_what_no_equation_uses(tmp_path: Path) -> None:
             parameters={**PARAMETERS, "R": 1.5, "Ke": 0.026, "J_r": 0.1},
         )
     )
+    assert [note.partition(":")[0] for note in model.notes] == ["J_r"]
     written = yaml.safe_load(exported(model, "yaml").files["demo.yaml"])
     units = {n: e["unit"] for n, e in written["parameters"].items()}
     assert (units["R"], units["Ke"], units["J_r"], units["mu_c"]) == (

@@ -16,6 +16,7 @@ from identification.effects import EFFECTS, MOTION
 from identification.effects.model import CorrectedModel, Curve, carried
 from identification.export.python import python_text
 from identification.recording import Array, Bench, Recording
+from identification.views.view import views
 from rig.results.diagnose.exports import yaml_text
 
 PARAMETERS = {
@@ -125,6 +126,31 @@ def test_a_winding_has_no_heat_left_after_a_long_pause(tmp_path: Path) -> None:
         for computed in (module.voltage, model.voltage):
             same = computed(second) == pytest.approx(computed(first), rel=1e-5)
             assert same is alike
+
+
+def test_effects_at_an_angle_are_as_late_as_the_torque(tmp_path: Path) -> None:
+    late, step = 0.012, TIME[1] - TIME[0]
+    effects = {name: middle(name) for name in ("cogging", "end_stop", "gravity_imbalance")}
+    model = CorrectedModel(PARAMETERS, 2.0, {**effects, "time_skew": {"time_s": late}})
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+    still = dataclasses.replace(model, effects={**effects, "time_skew": {"time_s": 0.0}})
+    assert module.M["late_s"] == late
+    assert module.M == model.numbers(RECORDING)
+    (seen,) = views([RECORDING], 20.0)
+    s = module.signals(
+        module.M, seen.time, seen.angle, seen.velocity, seen.acceleration, current=seen.current,
+        known=seen.known, contact_force=RECORDING.contact_force, weight_mass=30.6,
+    )  # fmt: skip
+    for name in ("sense", "still", "rest_time", "moment", "torque", "transmitted", "motor"):
+        setattr(s, name, getattr(seen, name))
+    inner = slice(20, -20)
+    for theirs, ours in ((module.torque, model.torque), (module.drive, model.drive)):
+        assert theirs(s)[inner] == pytest.approx(ours(seen)[inner], abs=1e-6)
+        assert np.max(np.abs(theirs(s) - getattr(still, theirs.__name__)(seen))[inner]) > 0.1
+    moved = s.delayed(late)
+    shift = round(late / step)
+    assert moved.angle[shift:] == pytest.approx(s.angle[:-shift], abs=1e-9)
+    assert moved.drive_angle == pytest.approx(moved.motor / 100.0, abs=1e-9)
 
 
 def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:

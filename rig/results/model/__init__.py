@@ -157,6 +157,8 @@ def read_model(given: Path, own: OwnFile = NO_FILE) -> Model:
         for n, entry in record.get("parameters", {}).items()
         if isinstance(entry, Mapping) and entry.get("value") is None and n in corrected.parameters
     )
+    if corrected.parameters.get("J_r"):
+        notes += ("J_r: left out, as motor and joint move as one body, of inertia J",)
     return Model(
         *(path, name, corrected, bench, made, intervals, ranges, notes),
         amperes=_in_amperes(record),
