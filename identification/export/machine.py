@@ -304,9 +304,11 @@ def machine(
     for effect, shape, coefficients in placed:
         feeds_back = symbols.function(type(effect).feeds_back)
         nominal = feeds_back(effect, nominal, shape, coefficients)
+    for k, (effect, shape, coefficients) in enumerate(placed):
+        nominal, shape = symbols.function(type(effect).begin)(effect, nominal, shape)
+        placed[k] = effect, shape, coefficients
     responses: dict[str, list[Node]] = {}
     for effect, shape, coefficients in placed:
-        nominal, shape = symbols.function(type(effect).begin)(effect, nominal, shape)
         added: Mapping[str, Node] = {}
         reason = effect.not_simulated
         try:

@@ -139,6 +139,14 @@ def test_effects_together_are_what_model_py_computes(effects: list[Effect], tmp_
     assert left_out == {e.name for e in effects if e.not_simulated}
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_order_of_effects_does_not_matter(first: int, tmp_path: Path) -> None:
+    """Presliding gives the nominal values a stiffness, which the friction memory uses."""
+    effects = [named("friction_memory"), named("presliding")]
+    model = read(tmp_path, effects[first], effects[1 - first])
+    assert max(exported(model, "python").checks.values()) < 1e-11
+
+
 @pytest.mark.parametrize("effect", MOTION, ids=lambda e: e.name)
 def test_every_effect_changes_the_equations_or_is_named(effect: Effect, tmp_path: Path) -> None:
     model, plain = read(tmp_path, effect), read(tmp_path)
