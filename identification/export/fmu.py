@@ -119,9 +119,13 @@ static int set(component *c, const uint32_t references[], size_t count, const do
 static int begun(component *c)
 {
     values *v = &c->now;
+    @NAME@_model first;
     @NAME@_start(&v->m, v->start_angle, v->start_velocity);
     v->y.angle = v->start_angle;
     v->y.velocity = v->start_velocity;
+    v->y.acceleration = 0.0;
+    first = v->m; /* the first step takes the first sample into the memory */
+    @NAME@_inverse(&first, first.largest_step, &v->u, &v->y);
     return OK;
 }
 

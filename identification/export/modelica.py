@@ -42,11 +42,14 @@ _TEXT = """\
 // Simulation of @SOURCE@.
 // The model advances at every `interval`; set-valued friction holds the joint exactly still.
 @NOTES@model @NAME@
-@PARAMETERS@  parameter Real interval(unit = "s") = @STEP@ "time between two steps, at most @STEP@";
+@PARAMETERS@  parameter Real interval(unit = "s") = @STEP@ "time between two steps; a longer one than @STEP@ is divided";
   parameter Real start_angle(unit = "@ANGLE@") = 0.0 "angle at the start";
   parameter Real start_velocity(unit = "@SPEED@") = 0.0 "speed at the start";
 @INPUTS@@OUTPUTS@protected
+  parameter Real step = interval / max(ceil(interval / @STEP@ - 1e-9), 1.0);
   discrete Real z[@SIZE@](each start = 0.0, each fixed = true);
+  Real y[@SIZE@] = if z[9] > 0.5 then z
+    else begun({@NAMES@}, {@INPUT_NAMES@}, {start_angle, start_velocity});
 
   // Required torque less the torque of drive and loads. p: parameters; z: outputs of the previous
   // sample, whether it exists, memories; x: inputs, angle, velocity, acceleration, sense, step.
@@ -140,6 +143,17 @@ _TEXT = """\
     y := keep(p, z, sampled(z, u, h, if speed > 0.0 then side * speed else 0.0, side), false);
   end advance;
 
+  // The first sample.
+  function begun
+    input Real p[@COUNT@];
+    input Real u[4];
+    input Real start[2];
+    output Real y[@SIZE@];
+  algorithm
+    y := keep(p, fill(0.0, @SIZE@), {u[1], u[2], u[3], u[4], start[1], start[2], 0.0,
+              sign(start[2]), @STEP@}, true);
+  end begun;
+
   function stepped
     input Real p[@COUNT@];
     input Real z[@SIZE@];
@@ -148,17 +162,12 @@ _TEXT = """\
     input Real start[2];
     output Real y[@SIZE@];
   algorithm
-    y := z;
-    if z[9] < 0.5 then
-      y[1] := start[1];
-      y[2] := start[2];
-      y := keep(p, y, {u[1], u[2], u[3], u[4], start[1], start[2], 0.0, sign(start[2]), h}, true);
-    end if;
+    y := if z[9] > 0.5 then z else begun(p, u, start);
     y := advance(p, y, u, h);
   end stepped;
 equation
-  when sample(interval, interval) then
-    z = stepped({@NAMES@}, pre(z), {@INPUT_NAMES@}, interval,
+  when sample(step, step) then
+    z = stepped({@NAMES@}, pre(z), {@INPUT_NAMES@}, step,
                 {start_angle, start_velocity});
   end when;
 @COPIES@end @NAME@;
@@ -215,7 +224,7 @@ def modelica_text(machine: Machine) -> str:
         EVALUATE=_body(more, assigned),
         NAMES=", ".join(places),
         INPUT_NAMES=", ".join(INPUTS),
-        COPIES="".join(f"  {n} = z[{k}];\n" for k, n in enumerate(EVERY, 1)),
+        COPIES="".join(f"  {n} = y[{k}];\n" for k, n in enumerate(EVERY, 1)),
     )
 
 

@@ -383,6 +383,56 @@ def test_rumoca_computes_the_same(effects: Sequence[str], tmp_path: Path) -> Non
         assert np.asarray(series[name])[places] == pytest.approx(table[name][1:-1], abs=1e-6 * size)
 
 
+@compiler
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.filterwarnings("ignore")
+def test_an_fmu_has_its_outputs_from_the_start(version: int, tmp_path: Path) -> None:
+    fmpy = pytest.importorskip("fmpy")
+    found = exported(read(tmp_path, named("cogging")), "fmu", version)
+    folder = write(found.files, tmp_path / "out")
+    held = np.array([(0.0, 2.0)], dtype=[("time", float), ("current", float)])
+    out = fmpy.simulate_fmu(
+        str(folder / "demo.fmu"),
+        stop_time=1e-3,
+        step_size=1e-3,
+        input=held,
+        start_values={"start_angle": 0.1},
+        output=["angle", "motor_angle", "drive", "voltage"],
+    )
+    phase = values(named("cogging"))["phase_rad"]
+    assert (out["angle"][0], out["motor_angle"][0]) == pytest.approx((0.1, 10.0))
+    assert out["drive"][0] == pytest.approx(6.0 + math.sin(70.0 + phase))
+    assert out["voltage"][0] == pytest.approx(2.0 * 1.56)
+
+
+@pytest.mark.proof
+def test_modelica_divides_a_long_step_and_has_its_outputs_from_the_start(tmp_path: Path) -> None:
+    rumoca = pytest.importorskip("rumoca")
+    model = read(tmp_path, named("cogging"))
+    found = exported(model, "modelica").files
+    text = found[SIMULATION]
+    assert isinstance(text, str)
+    table = np.genfromtxt(text.splitlines(), delimiter=",", names=True)
+    step, end = float(table["time"][1]), float(table["time"][-1])
+
+    def run(**given: float) -> Any:
+        machine = found["demo.mo"]
+        for name, value in given.items():
+            machine = re.sub(rf"(Real {name}\(.*?\)) = \S+", rf"\1 = {value!r}", machine)
+        made = rumoca.Session().loads(f"{machine}\n{found['test.mo']}", model="test")
+        done = made.simulate(t=(0.0, end), dt=0.5 * step)
+        return np.asarray(done.time), done.to_dict()["data"]
+
+    time, long = run(interval=3.0 * step)
+    places = np.searchsorted(time, table["time"][1:-1] + 0.5 * step) - 1
+    size = np.max(np.abs(table["angle"]))
+    assert np.asarray(long["angle"])[places] == pytest.approx(table["angle"][1:-1], abs=1e-6 * size)
+    _, begun = run(start_angle=0.1)
+    phase = values(named("cogging"))["phase_rad"]
+    assert (begun["angle"][0], begun["motor_angle"][0]) == pytest.approx((0.1, 10.0))
+    assert begun["drive"][0] == pytest.approx(math.sin(70.0 + phase))
+
+
 @pytest.mark.parametrize("name", [None, "gravity_imbalance", "return_spring", "quadratic_drag"])
 def test_mujoco_has_the_torque_within_the_printed_error(name: str | None, tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
