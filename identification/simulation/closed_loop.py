@@ -227,7 +227,7 @@ def inputs_of(recording: Recording) -> Inputs:
         time=recording.time,
         command=channels["command"],
         scale=scale,
-        added=channels.get("feedforward", np.zeros(n)),
+        added=scale * channels.get("feedforward", np.zeros(n)),
         moment=moment_of(recording),
     )
 

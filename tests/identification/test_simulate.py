@@ -62,6 +62,17 @@ def test_a_supply_that_is_logged_slowly_is_interpolated() -> None:
         )
 
 
+def test_a_feed_forward_is_in_the_unit_of_the_output() -> None:
+    """A duty cycle that is fed forward is multiplied by the supply, as that of the gains is."""
+    time = np.linspace(0.0, 0.1, 101)
+    bench = Bench(torque_constant=0.5, back_emf_constant=0.5, resistance=4.0)
+    channels = {"command": np.zeros(101), "supply_voltage": np.full(101, 12.0)}
+    channels |= {"time": time, "angle": np.zeros(101), "feedforward": np.full(101, 0.25)}
+    duty = Controller("duty", 1.0)
+    made = Recording(name="made", channels=channels, bench=bench, controller=duty)
+    assert replay(made, {"J": 0.01}, 2.0).torque[0] == pytest.approx(0.5 / 4.0 * 12.0 * 0.25)
+
+
 def inputs(
     time: np.ndarray, command: np.ndarray | None = None, added: np.ndarray | None = None
 ) -> Inputs:
