@@ -26,7 +26,7 @@ from identification.diagnosis import diagnose as diagnosis
 from identification.diagnosis.result import Diagnosis
 from identification.effects import EFFECTS, with_own
 from identification.effects.effect import Effect as CatalogueEffect
-from identification.effects.model import CorrectedModel
+from identification.effects.model import CorrectedModel, Curve
 from identification.effects.own import OwnEffect
 from identification.effects.own import effect as effect
 from identification.effects.prediction import Fitted, Given, Simulation, predict
@@ -337,7 +337,19 @@ def fitted_of(result: Result, own: Sequence[Effect] = ()) -> Fitted:
         if lacking := [q.name for q in known[name].parameters if q.name not in given]:
             raise RecordingError(f"{name} lacks {', '.join(lacking)}")
     alpha = nominal.pop("alpha", 2.0)
-    return Fitted(CorrectedModel(nominal, alpha, effects, catalogue=known))
+    return Fitted(CorrectedModel(nominal, alpha, effects, _curve_of(result), known))
+
+
+def _curve_of(given: Mapping[str, Any]) -> Curve | None:
+    """Return the empirical curve of a file, if it has one."""
+    found = given.get("curve")
+    if found is None:
+        return None
+    try:
+        series = {n: np.array(found[n], dtype=float) for n in ("grid", "value")}
+        return Curve(**{**found, **series})
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"curve: must be that of a model.yaml ({error})") from error
 
 
 def _by_name(given: Mapping[str, Any]) -> dict[str, float]:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+import identification as lr
 from identification.effects import GAS, MOTION
 from identification.effects.effect import Effect
 from identification.export.c import EVERY
@@ -536,6 +537,26 @@ def test_a_bench_without_a_torque_constant_has_the_unit_of_the_fit(unit: str, tm
     assert "Error of the torque: " in files["plain.xml"]
     assert f" {unit} rms" in files["plain.xml"]
     assert set(files) == {"plain.xml"}
+
+
+def test_the_yaml_has_the_curve_and_a_simulation_reads_it(tmp_path: Path) -> None:
+    curve = {
+        **{"equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m"},
+        **{"grid": [-1.0, 1.0], "value": [0.7, 0.7], "against_motion": False},
+    }
+    model = read_model(result(tmp_path / "demo", curve=curve))
+    written = yaml.safe_load(exported(model, "yaml").files["demo.yaml"])
+    assert written["curve"] == curve
+    time = np.arange(2000) / 500.0
+    motion = lr.Recording(time, 0.3 * np.sin(2.0 * time))
+    with_curve, plain = (
+        lr.simulate(given, motion, draws=0).torque
+        for given in (written, {n: v for n, v in written.items() if n != "curve"})
+    )
+    moving = np.isfinite(plain)
+    assert (with_curve - plain)[moving] == pytest.approx(np.full(np.sum(moving), 0.7))
+    with pytest.raises(lr.RecordingError, match="curve"):
+        lr.simulate({**written, "curve": {"grid": [0.0]}}, motion, draws=0)
 
 
 def test_the_yaml_has_the_unit_of_what_no_equation_uses(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ from identification.export.modelica import NAMES, modelica_test, modelica_text
 from identification.export.printed import simulation_text
 from identification.export.python import python_text
 from identification.model.parameters import UNITS_ROTARY, parameter_unit
+from identification.numerics.arrays import plain
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.places import is_file, is_folder
@@ -342,6 +343,7 @@ def _yaml(model: Model) -> str:
             name: {key: entry(f"{name}.{key}", value) for key, value in given.items()}
             for name, given in model.corrected.effects.items()
         },
+        **({} if model.corrected.curve is None else {"curve": plain(model.corrected.curve)}),
         "ranges": {n: [float(x) for x in ends] for n, ends in model.ranges.items()},
         "not_simulated": {left.name: left.reason for left in m.left_out},
     }
