@@ -193,7 +193,8 @@ def _dc_motor(
     force_unit = machine.unit("N m")
     note = (
         f"{head}  For MuJoCo {MUJOCO} and later: actuator dcmotor with LuGre friction, which "
-        f"deflects {BREAKAWAY_RAD:g} {machine.unit('rad')}\n  before breakaway. Error of the torque: "
+        f"deflects {BREAKAWAY_RAD:g} {machine.unit('rad')}\n  before breakaway. "
+        "Error of the torque: "
         f"{_rms(rest):.4g} {force_unit} rms, greatest {np.max(np.abs(rest)):.4g} {force_unit}.\n"
         f"  The motor has one constant, {math.sqrt(constants[0] * constants[1]):.6g}, in place of "
         f"Km {constants[0]:.6g} N m/A and Ke {constants[1]:.6g} V s/rad;\n  no inductance.\n"

@@ -23,8 +23,7 @@ _MODELICA = Language(
     logical="Boolean {0} := {1};",
     truth=("false", "true"),
 )
-NAMES = frozenset(
-    """
+_WORDS = """
     abs acos algorithm and annotation asin assert atan atan2 block boolean break cardinality ceil
     change class clock connect connector constant constrainedby cos cosh cross delay der diagonal
     discrete div each edge else elseif elsewhen encapsulated end enumeration equation exp expandable
@@ -34,15 +33,16 @@ NAMES = frozenset(
     protected public pure real record redeclare reinit rem replaceable return sample scalar sign sin
     sinh size skew smooth spatialdistribution sqrt stream string sum symmetric tan tanh terminal
     terminate test then time transpose true type vector when while within zeros ones
-    """.split()
-)
+"""
+NAMES = frozenset(_WORDS.split())
 """Words of Modelica and of the texts here, in small letters, which cannot be the name of a model.
 """
 _TEXT = """\
 // Simulation of @SOURCE@.
 // The model advances at every `interval`; set-valued friction holds the joint exactly still.
 @NOTES@model @NAME@
-@PARAMETERS@  parameter Real interval(unit = "s") = @STEP@ "time between two steps; a longer one than @STEP@ is divided";
+@PARAMETERS@  parameter Real interval(unit = "s") = @STEP@
+    "time between two steps; a longer one than @STEP@ is divided";
   parameter Real start_angle(unit = "@ANGLE@") = 0.0 "angle at the start";
   parameter Real start_velocity(unit = "@SPEED@") = 0.0 "speed at the start";
 @INPUTS@@OUTPUTS@protected

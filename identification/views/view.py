@@ -633,7 +633,7 @@ def _moved(view: View, late_s: float) -> View:
     def late(series: Array) -> Array:
         return delayed_series(series, view.step, late_s)
 
-    moved = {name: late(getattr(view, name)) for name in DELAYED}
+    moved: dict[str, Any] = {name: late(getattr(view, name)) for name in DELAYED}
     return replace(view, **{**moved, "sense": np.clip(moved["sense"], -1.0, 1.0)})
 
 

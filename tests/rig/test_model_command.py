@@ -419,7 +419,7 @@ def test_modelica_divides_a_long_step_and_has_its_outputs_from_the_start(tmp_pat
     def run(**given: float) -> Any:
         machine = found["demo.mo"]
         for name, value in given.items():
-            machine = re.sub(rf"(Real {name}\(.*?\)) = \S+", rf"\1 = {value!r}", machine)
+            machine = re.sub(rf"(Real {name}\(.*?\)) = [^\s;]+", rf"\1 = {value!r}", machine)
         made = rumoca.Session().loads(f"{machine}\n{found['test.mo']}", model="test")
         done = made.simulate(t=(0.0, end), dt=0.5 * step)
         return np.asarray(done.time), done.to_dict()["data"]

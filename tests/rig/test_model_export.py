@@ -135,7 +135,7 @@ def test_effects_at_an_angle_are_as_late_as_the_torque(tmp_path: Path) -> None:
     module = imported(python_text(model, RECORDING, "bench"), tmp_path)
     still = dataclasses.replace(model, effects={**effects, "time_skew": {"time_s": 0.0}})
     assert module.M["late_s"] == late
-    assert module.M == model.numbers(RECORDING)
+    assert model.numbers(RECORDING) == module.M
     (seen,) = views([RECORDING], 20.0)
     s = module.signals(
         module.M, seen.time, seen.angle, seen.velocity, seen.acceleration, current=seen.current,

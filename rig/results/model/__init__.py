@@ -78,8 +78,8 @@ class Model:
         """Return the equations without one effect."""
         kept = {n: v for n, v in self.corrected.effects.items() if n != effect}
         plain = replace(self.corrected, effects=kept)
-        given = self.bench, {}, self.ranges, "", self.own, self.amperes
-        return machine(self.name, plain, *given)
+        given = self.name, plain, self.bench
+        return machine(*given, {}, self.ranges, own=self.own, amperes=self.amperes)
 
     def checked(self) -> Model:
         """Return the model, without equations of effects of one's own if they are not those of
