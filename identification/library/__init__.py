@@ -165,8 +165,8 @@ def simulate(
         rng: Seed or generator of these sets.
 
     Raises:
-        RecordingError: The recording does not have what is asked for, or a name in ``values`` is
-            unknown.
+        RecordingError: The recording does not have what is asked for or lacks a sample, or a name
+            in ``values`` is unknown.
 
     >>> import identification as lr
     >>> t = np.arange(1000) / 500.0
@@ -176,6 +176,7 @@ def simulate(
     >>> bool(light.velocity[-1] > heavy.velocity[-1] > 0.0)
     True
     """
+    (recording,) = dataset_of(recording).recordings
     fitted = fitted_of(result, effects)
     if values:
         fitted = fitted.changed(values)
@@ -209,7 +210,7 @@ def plan(
         torque_limit: Greatest torque of the drive, N m.
 
     Raises:
-        RecordingError: A parameter, a command or a property of the sensors is not known.
+        RecordingError: A parameter, a command, a sample or a property of the sensors is not known.
     """
     planned = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
     noise = result.noise if isinstance(result, Identification) else None
@@ -228,6 +229,7 @@ def plan(
         raise RecordingError(
             f"a plan needs recordings with a `command` channel (lacking: {missing})"
         )
+    planned = dataset_of(planned).recordings
     first = planned[0]
     unlike = [
         r.name

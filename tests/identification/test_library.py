@@ -140,6 +140,13 @@ def test_a_missing_sample_is_an_error_with_its_place() -> None:
     broken = lr.Recording(recording.time, angle, torque=recording.channels["torque"])
     with pytest.raises(lr.RecordingError, match="sample 17"):
         lr.identify(broken)
+    with pytest.raises(lr.RecordingError, match="sample 17"):
+        lr.simulate(TRUTH, broken, draws=0)
+    command = SWING.channels["command"].copy()
+    command[17] = math.nan
+    holed = lr.Recording(TIME, command=command, controller=LOOP, bench=BENCH)
+    with pytest.raises(lr.RecordingError, match="sample 17"):
+        lr.plan(TRUTH, holed, torque_noise=0.05, joint_step=1.5e-5)
 
 
 @pytest.mark.parametrize(
