@@ -99,8 +99,10 @@ class Simulation:
         velocity: rad/s.
         torque: Torque of the drive, N m. Of a given motion it is that at the bandwidth of the fit,
             and NaN at rest, where friction may have any value up to its limit.
-        low: Lower end of the 90 % band of a measured signal, by its name; of a motion that of the
-            torque alone.
+        low: Lower end of the 90 % band of each signal by its name, of a motion that of the torque
+            alone: from the covariance of the parameters and the noise of the model. The noise of
+            a torque is that at the bandwidth of the fit, so that a response has none of the noise
+            above it; a velocity has no noise.
         high: Upper end of this band.
         outside: Samples at which angle, velocity or load are outside the recordings of the fit.
         warnings: What the response lacks, and which ranges it leaves.
