@@ -21,7 +21,7 @@ from identification.effects.effect import Effect
 from identification.export.c import EVERY
 from identification.export.fmu import fmu_texts
 from identification.export.machine import INPUTS, Machine
-from identification.export.mjcf import grid_of
+from identification.export.mjcf import ANGLES, SPEEDS, Grid, fitted, grid_of
 from identification.model.parameters import pack
 from identification.recording import Bench
 from identification.simulation.closed_loop import OPEN_LOOP, Inputs, simulate
@@ -469,6 +469,16 @@ def test_mujoco_has_the_torque_within_the_printed_error(name: str | None, tmp_pa
         assert error <= float(printed[1]) * 1.01 + 1e-3 * float(np.max(np.abs(wanted)))
         if name == "quadratic_drag":
             assert "quadratic_drag: " in text
+
+
+@pytest.mark.parametrize("torque", [-2.0, 0.7, 1.3, 2.0, 3.1])
+def test_a_constant_torque_is_a_weight_and_no_spring_without_stiffness(torque: float) -> None:
+    speed = np.linspace(-0.5, 0.5, 2 * SPEEDS)
+    grid = Grid(*(g.ravel() for g in np.meshgrid(speed, np.linspace(-0.3, 0.4, ANGLES))))
+    found = fitted(torque + 6.0 * np.sign(grid.speed), grid)
+    assert found.spring == (0.0, 0.0)
+    assert found.weight[0] > 0.9 * abs(torque)
+    assert np.max(np.abs(found.error)) < 0.1 * abs(torque)
 
 
 @pytest.mark.parametrize("kind", ["yaml", *FORMATS])
