@@ -120,16 +120,19 @@ class Seen:
         return len(self.view.time)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a signal by its name."""
+        """Return a signal by its name, which cannot be written to."""
         if name in MODELLED:
-            return getattr(self.nominal, MODELLED[name])(self.view)
-        if name not in MEASURED:
+            series = getattr(self.nominal, MODELLED[name])(self.view)
+        elif name in MEASURED:
+            series = getattr(self.view, MEASURED[name])
+        else:
             known = ", ".join((*MEASURED, *MODELLED))
             raise AttributeError(f"there is no signal {name}; there are {known}")
-        series = getattr(self.view, MEASURED[name])
         if series is None:
             raise AttributeError(f"{self.view.recording.name} has no signal {name}")
-        return np.nan_to_num(series) if name == "voltage" else series
+        series = np.nan_to_num(series) if name == "voltage" else series.view()
+        series.flags.writeable = False
+        return series
 
 
 def sampled(step: Any, samples: Any, states: int, dt: float, p: Any, first: float = 0.0) -> Array:
@@ -164,7 +167,9 @@ class _Probe:
         if name not in self._series:
             raise AttributeError(f"there is no signal {name}; there are {', '.join(self._series)}")
         self.asked.add(name)
-        return self._series[name]
+        if isinstance(series := self._series[name], np.ndarray):
+            series.flags.writeable = False
+        return series
 
     def __getitem__(self, at: int) -> _Probe:
         return _Probe({name: float(s[at]) for name, s in self._series.items()}, self.asked)
@@ -275,7 +280,7 @@ class OwnEffect(Effect):
                 cls.coefficients = ()
         rest = [q for q in cls.parameters if q.name not in cls.coefficients]
         cls.nonlinear = tuple(q.name for q in rest)
-        cls.used, cls.at_angle = frozenset(used), "angle" in used
+        cls.used, cls.at_angle = frozenset(used), bool(used & {"angle", "motor_angle"})
         cls.follows = bool(used & MODELLED.keys())
         cls.varies = cls.enters if cls.follows else ()
         cls.size = None if cls.coefficients else 1.0

@@ -209,6 +209,37 @@ def on_a_linear_bench(s, p):
     assert dimensions("N m s/(A^2 rad)") == {"kg": 1.0, "m": 2.0, "s": -1.0, "A": -2.0}
 
 
+@pytest.mark.parametrize("signal", ["angle", "friction"])
+def test_a_function_cannot_change_the_signals(signal: str, view: View) -> None:
+    seen = Seen(view, Nominal({"Mc": 2.0}, (), 2.0))
+    before = getattr(seen, signal).copy()
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(seen, signal)[:] = 0.0
+    np.testing.assert_array_equal(getattr(seen, signal), before)
+    assert view.angle.flags.writeable
+
+
+def test_a_definition_that_changes_a_signal_is_refused(tmp_path: Path) -> None:
+    text = """
+@effect(c=("N m", -9, 9))
+def mine(s, p):
+    a = s.angle
+    a *= 2.0
+    return p.c * a
+"""
+    assert "read-only" in refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("signal", "late"), [("angle", True), ("motor_angle", True), ("velocity", False)]
+)
+def test_an_effect_at_an_angle_is_as_late_as_the_torque(signal, late, tmp_path):
+    text = f'@effect(c=("N m", -9, 9))\ndef mine(s, p):\n    return p.c * np.sin(s.{signal})\n'
+    found = defined(tmp_path, text)["mine"]
+    assert isinstance(found, OwnEffect)
+    assert found.at_angle is late
+
+
 def test_a_recording_without_a_signal_cannot_show_the_effect(tmp_path: Path, view: View) -> None:
     from identification.effects.effect import Context
 
