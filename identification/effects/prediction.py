@@ -8,7 +8,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from identification.numerics.spread import CONFIDENCE, NO_SPREAD, Spread, quanti
 from identification.prepare import contact_moment, default_bandwidth
 from identification.recording import Recording
 from identification.simulation.closed_loop import Response, replay
-from identification.views.view import View
+from identification.views.view import View, forget
 
+T = TypeVar("T")
 Given = Literal["command", "torque", "motion"]
 SIGNALS = ("angle", "velocity", "torque")
 KEPT = frozenset({"supply_voltage", "temperature", "load_force", "pressure", "command"})
@@ -68,8 +69,10 @@ class Fitted:
         ), ", ".join(lost)
 
     def draws(self, count: int, rng: np.random.Generator) -> Iterator[CorrectedModel]:
-        """Yield models whose parameters are drawn from the covariance."""
+        """Yield models whose parameters are drawn from the covariance; none without one."""
         names, freedom = self.covariance.names, self.covariance.freedom
+        if not names:
+            return
         scale, vectors = np.linalg.eigh(self.covariance.matrix)
         root = vectors * np.sqrt(np.maximum(scale, 0.0))
         middle = self.model.values
@@ -166,10 +169,11 @@ def predict(
 
     middle, disturbance, warnings = _with_effects(fitted.model, recording, run)
     view = _view_of(fitted.model, recording, middle) if fitted.model.effects else None
-    others = [
-        run(model, disturbance if view is None else _disturbance(model, view, middle.time))
-        for model in fitted.draws(draws, rng)
-    ]
+
+    def other(model: CorrectedModel) -> Response:
+        return run(model, disturbance if view is None else _disturbance(model, view, middle.time))
+
+    others = _drawn(fitted, draws, rng, other)
     bands = {n: _band(getattr(middle, n), [getattr(o, n) for o in others]) for n in SIGNALS}
     moment = contact_moment(recording, recording.time, middle.angle)
     return _simulation(fitted, given, middle, bands, moment, warnings)
@@ -251,10 +255,21 @@ def _required(
 
     motion = view.low_pass(view.angle), view.low_pass(view.velocity)
     middle = Response(view.kept_times, *motion, torque(fitted.model))
-    band = _band(middle.torque, [torque(model) for model in fitted.draws(draws, rng)])
+    band = _band(middle.torque, _drawn(fitted, draws, rng, torque))
     moment = view.low_pass(view.moment)
     made = _simulation(fitted, "motion", middle, {"torque": band}, moment, [])
     return dataclasses.replace(made, measured=steady(view.transmitted)) if known else made
+
+
+def _drawn(
+    fitted: Fitted, draws: int, rng: np.random.Generator, response: Callable[[CorrectedModel], T]
+) -> list[T]:
+    """Return the response of each drawn model; the caches keep none of what it needs."""
+    found = []
+    for model in fitted.draws(draws, rng):
+        found.append(response(model))
+        forget()
+    return found
 
 
 def _band(middle: Array, others: list[Array]) -> tuple[Array, Array]:

@@ -35,6 +35,7 @@ from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import HEADLINES, Identification
+from identification.views.view import forget
 
 Source = Dataset | Recording | Iterable[Recording]
 Result = Identification | Diagnosis | CorrectedModel | Mapping[str, Any]
@@ -92,6 +93,7 @@ def identify(
         profile=profile,
         draws=draws,
     )
+    forget()
     if not found.misfit:
         return found
     first = f"{HEADLINES[found.misfit[0]]}: {found.misfit_words}"
@@ -134,6 +136,7 @@ def diagnose(
         estimate=lambda _exact: identify_any_length(stated, rng=first, progress=progress),
         **own,
     )
+    forget()
     return replace(found, warnings=(*found.warnings, *warnings))
 
 
@@ -182,6 +185,7 @@ def simulate(
         fitted = fitted.changed(values)
     fitted, lost = fitted.of_every_recording()
     found = predict(fitted, recording, given, draws=draws, rng=np.random.default_rng(rng))
+    forget()
     if not lost:
         return found
     warning = f"the response is without {lost}: in one recording of the fit alone"

@@ -17,7 +17,10 @@ import pandas as pd
 import pytest
 
 import identification as lr
+from identification.effects import prediction
 from identification.numerics.spread import quantile
+from identification.simulation.closed_loop import replay
+from identification.views import view
 
 from .synthetic import BENCH, LOAD, SYSTEM, TRUTH, sine
 
@@ -326,6 +329,33 @@ def test_bands_hold_what_is_measured_and_grow_with_the_uncertainty(found: Any) -
     width = [np.mean((s.high["torque"] - s.low["torque"])[moving]) for s in (less, made)]
     assert width[0] == pytest.approx(2.0 * 1.645 * found.fit.train_rms, rel=1e-3)
     assert width[1] > width[0]
+
+
+def test_a_simulation_keeps_nothing_and_draws_only_from_a_covariance(
+    found: Any, monkeypatch: Any
+) -> None:
+    runs = []
+    monkeypatch.setattr(
+        prediction, "replay", lambda *a, **more: runs.append(1) or replay(*a, **more)
+    )
+    lr.simulate(TRUTH, SWING)
+    assert len(runs) == 1
+    most = []
+    model = prediction.CorrectedModel.torque
+
+    def counted(*given: Any) -> Any:
+        most.append(kept())
+        return model(*given)
+
+    monkeypatch.setattr(prediction.CorrectedModel, "torque", counted)
+    lr.simulate(found, noisy(weight=30.6), draws=20)
+    assert len(most) == 21
+    assert max(most) < 10
+    assert kept() == 0
+
+
+def kept() -> int:
+    return sum(c.cache_info().currsize for c in view._CACHES)
 
 
 def test_what_was_not_recorded_is_marked(found: Any) -> None:
