@@ -105,7 +105,8 @@ def make_plan(
     low = _first_pass(sequence.value, bench.value, first_pass)
     for index, section in enumerate(sequence.value.stages):
         stage = _plan_stage(section, bench.value, limits, low)
-        if feedforward is not None and len(stage.targets) and stage.flow is None:
+        # The feed-forward does not know the load of a hot firing.
+        if feedforward is not None and len(stage.targets) and section.stage != "hot_fire":
             offsets = stage_offsets(
                 feedforward,
                 stage.targets,

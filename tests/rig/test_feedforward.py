@@ -17,6 +17,7 @@ from rig.common.errors import InputError
 from rig.common.sample import Sample
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
+from rig.config.sequence import load_sequence
 from rig.control.remote import RunProgress
 from rig.planning.feedforward import (
     Compensator,
@@ -26,6 +27,7 @@ from rig.planning.feedforward import (
     require_torque_offset,
     stage_offsets,
 )
+from rig.planning.plan import make_plan
 from rig.results.identify.identify import METHODS
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
@@ -62,6 +64,15 @@ def result_file(name: str = "result.json", **changes: Any) -> Path:
     path = Path(name)
     path.write_text(json.dumps(raw))
     return path
+
+
+def test_a_hot_firing_is_without_feed_forward() -> None:
+    """Its load is that of the gas, which the model does not know."""
+    bench = load_bench("practical_hot")
+    plan = make_plan(load_sequence("hotfire"), bench, feedforward=KNOWN)
+    hot = {s.name for s in plan.stages if s.stage == "hot_fire"}
+    assert hot
+    assert {s.name for s in plan.stages if s.offsets is None} == hot
 
 
 def sample(motor_angle: float, fresh: bool = True) -> Sample:
