@@ -98,6 +98,18 @@ def test_what_the_machine_cannot_be_is_told_and_left_out() -> None:
     assert "empirical curve" in notes[1]
 
 
+def test_fitted_constants_of_the_motor_are_in_it_and_other_parameters_are_noted() -> None:
+    constants = bench_constants(load_bench("practical").value)
+    more = {"R": 1.7, "Ke": 0.027, "offset": 0.3, "mu_gc": 0.05, "mu_gs": 0.0, "J_r": 0.1}
+    found = record({}) | {"parameters": NOMINAL | more}
+    bench, notes = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
+    motor = bench["mock"]["motor"]
+    assert (motor["resistance_ohm"], motor["back_emf_constant_V_s_rad"]) == (1.7, 0.027)
+    assert bench["machine"]["resistance_ohm"] == constants.resistance
+    assert [note.partition(" ")[0] for note in notes] == ["offset", "mu_gc", "J_r"]
+    Bench.model_validate_json(json.dumps(bench), strict=True)
+
+
 def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
     constants = bench_constants(load_bench("practical").value)
     found = record({}) | {

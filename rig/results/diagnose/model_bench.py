@@ -35,6 +35,8 @@ _MOTOR = {
     "back_emf_constant_V_s_rad": "back_emf_constant",
     "gear_ratio": "gear_ratio",
 }
+_FITTED = {"R": "resistance_ohm", "Ke": "back_emf_constant_V_s_rad"}
+"""Constants of the motor by the parameters that replace them."""
 Tree = dict[str, Any]
 
 
@@ -95,12 +97,16 @@ def model_bench(
     joint.update({JOINT_FIELDS[name]: 0.0 for name in _LOAD if name not in values})
     joint["alpha"] = model.alpha
     motor = {key: getattr(constants, name) for key, name in _MOTOR.items()}
-    mock["motor"] = {**mock.get("motor", {}), **motor}
+    fitted = {key: values[name] for name, key in _FITTED.items() if name in values}
+    mock["motor"] = {**mock.get("motor", {}), **motor, **fitted}
     bench["machine"] = {**bench["machine"], **motor}
     for section in (joint, bench["machine"]):
         section["lever_ratio"], section["gravity_m_s2"] = constants.lever_ratio, constants.gravity
         if constants.moment_arm is not None:
             section["moment_arm_m"] = constants.moment_arm
+    for name, value in values.items():
+        if value and name not in {**JOINT_FIELDS, **_FITTED}:
+            notes.append(f"{name} = {value:.6g} is left out: the simulated machine has none")
     effects = dict(model.effects)
     mock.pop("effects_file", None)
     if own.path is not None and own.injects.keys() & effects.keys():
