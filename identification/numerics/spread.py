@@ -54,9 +54,12 @@ class Spread:
 
     @property
     def correlation(self) -> Array:
-        """Correlation of the parameters, shape (p, p)."""
+        """Correlation of the parameters, shape (p, p); zero with a parameter of no variance."""
         deviation = np.sqrt(np.diag(self.matrix))
-        return np.asarray(self.matrix / np.outer(deviation, deviation))
+        scale = np.where(deviation == 0.0, 1.0, deviation)
+        found = np.asarray(self.matrix / np.outer(scale, scale))
+        np.fill_diagonal(found, 1.0)
+        return found
 
     def only(self, names: Collection[str]) -> Spread:
         """Return the covariance of those of its parameters that are among ``names``."""

@@ -18,7 +18,7 @@ import pytest
 
 import identification as lr
 from identification.effects import prediction
-from identification.numerics.spread import quantile
+from identification.numerics.spread import Spread, quantile
 from identification.simulation.closed_loop import replay
 from identification.views import view
 
@@ -199,6 +199,12 @@ def test_values_intervals_and_covariance_agree(found: Any) -> None:
         assert 0.5 * (high + low) == pytest.approx(found.values[name])
     np.testing.assert_allclose(np.diag(found.correlation), 1.0)
     assert found.values["J"] == pytest.approx(TRUTH["J"], rel=0.2)
+
+
+def test_a_parameter_without_variance_has_no_correlation() -> None:
+    """As one at its bound."""
+    spread = Spread(("a", "b"), np.array([[4.0, 0.0], [0.0, 0.0]]), math.inf)
+    np.testing.assert_array_equal(spread.correlation, np.eye(2))
 
 
 def test_residuals_are_what_the_error_is_of(found: Any) -> None:
