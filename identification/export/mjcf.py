@@ -25,8 +25,8 @@ LEAST_GAIN = 0.05
 ROUNDING = 1e-9
 """Torque relative to the whole that counts as a rounding error."""
 FLATTEST = 1e-6
-"""Least change of a spring's torque over the travel, relative to the torque: a constant torque is no
-spring.
+"""Least change of a spring's torque over the travel, relative to the torque; a constant torque is
+no spring.
 """
 MUJOCO = "4.0"
 """Version whose `dcmotor` the second form is written for."""
@@ -82,10 +82,9 @@ def fitted(torque: Array, grid: Grid, linear: bool = False) -> Passive:
     turning = (((weight,), LEAST_GAIN), ((spring, weight), 0.5))
     for tried, gain in (((spring,), LEAST_GAIN), *(() if linear else turning)):
         c, left = _least_squares(np.concatenate(tried), place)
-        least = FLATTEST * _rms(place)
-        if (tried[0] is weight or c[0] * np.ptp(grid.angle) > least) and _rms(left) < (1.0 - gain) * _rms(
-            _least_squares(np.concatenate(parts), place)[1] if parts else place
-        ):
+        known = _least_squares(np.concatenate(parts), place)[1] if parts else place
+        stiff = c[0] * np.ptp(grid.angle) > FLATTEST * _rms(place)
+        if (tried[0] is weight or stiff) and _rms(left) < (1.0 - gain) * _rms(known):
             parts = tried
     friction = np.stack((np.sign(grid.speed), grid.speed))
     c, left = _least_squares(np.concatenate((friction, *parts)), torque)
