@@ -158,7 +158,7 @@ def simulate(
     Args:
         result: Result of :func:`identify` or :func:`diagnose`, a corrected model, parameters by
             name, SI, those of effects as ``effect.name``, or the content of a ``model.yaml``.
-        recording: What is given to the model, and its loads.
+        recording: What is given to the model, and its loads; the machine is cold at its start.
         values: Other values of some parameters: ``{"J": 0.3}`` for another inertia.
         given: ``command``: the position loop is simulated; ``torque``: the joint is driven by the
             recorded torque or current; ``motion``: the torque that the recorded motion requires.
