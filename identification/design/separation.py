@@ -156,8 +156,11 @@ def weigh(
     if wanted:
         tried = (fitted_with(base, base, known[n]) for n in wanted if n in known)
         fitted += [_Fitted(joint) for joint in tried if joint is not None]
-        once = {frozenset(f.names): f for f in reversed(fitted) if {*f.names} <= {*wanted}}
-        fitted = [*once.values()][::-1] or [_Fitted(base)]
+        once: dict[frozenset[str], _Fitted] = {}
+        for f in fitted:
+            if {*f.names} <= {*wanted}:
+                once.setdefault(frozenset(f.names), f)
+        fitted = [*once.values()] or [_Fitted(base)]
     best = fitted[0].joint
     for one in fitted:
         judged = one.known is None and not one.beyond

@@ -122,18 +122,17 @@ def diagnose(
     here, aside, found, judged = _searches(task, terms)
     trusting = trusted(aside, (*here, *aside))
     if judged.verdict is Verdict.NOTHING_MISSING and _missing_aside(task, found.baseline, trusting):
-        again = _all_fitted(everything, {v.recording.name for v in trusting})
-        return _found_aside(
-            diagnose(
-                again,
-                bandwidth_Hz=bandwidth_Hz,
-                rng=rng,
-                progress=progress,
-                searched=searched,
-                estimate=estimate,
-                effects=effects,
-            )
+        again = diagnose(
+            _all_fitted(everything, {v.recording.name for v in trusting}),
+            bandwidth_Hz=bandwidth_Hz,
+            rng=rng,
+            progress=progress,
+            searched=searched,
+            estimate=estimate,
+            effects=effects,
         )
+        if again.verdict is not Verdict.NOTHING_MISSING:
+            return _found_aside(again)
     if searched is not None:
         searched(found)
     report("identifying the nominal parameters", 0.96)
@@ -362,8 +361,12 @@ def _missing_aside(task: _Task, baseline: Joint, aside: Sequence[View]) -> bool:
 
 
 def _all_fitted(dataset: Dataset, names: Collection[str]) -> Dataset:
-    """Return a dataset in which the named recordings are fitted too."""
-    recordings = tuple(replace(r, role="fit") if r.name in names else r for r in dataset.recordings)
+    """Return a dataset in which the named recordings are fitted too, without others that were set
+    aside: those cannot judge effects.
+    """
+    recordings = tuple(
+        replace(r, role="fit") for r in dataset.recordings if r.role == "fit" or r.name in names
+    )
     return replace(dataset, recordings=recordings)
 
 

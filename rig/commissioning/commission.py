@@ -268,7 +268,7 @@ def _session(
             except StorageError as error:
                 # Protocol and state of the drive are still reported.
                 result.words = f"{result.words}; {error}".removeprefix("; ")
-                if result.ending is Ending.DONE:
+                if result.ending in (Ending.DONE, Ending.TRIPPED):
                     result.ending = Ending.FAILED
     return wrong
 

@@ -192,7 +192,7 @@ def stop(setup: Setup, step: StepRecord) -> None:
     if state is ServoState.QUICK_STOP_ACTIVE:
         # A drive that stays in this state after its ramp must be told from one that still brakes.
         stays = setup.bench.servo.quick_stop_option >= STAYS
-        longest_s = math.inf if stays else BRAKING_TIMEOUT_S
+        longest_s = math.inf if stays else 0.9 * BRAKING_TIMEOUT_S
     else:
         ramp_s = RAMPS * speed / promised if promised > 0.0 else BRAKING_TIMEOUT_S
         longest_s = ramp_s + 5.0 * cycle_s + ANSWERS * answer_s + 0.05

@@ -479,8 +479,9 @@ class Console:
             )
             raise Refusal(words, unconfirmed=list(failed))
         if unheard := self._hub.unheard:
-            late = f"{unheard} more, which connects to its bench or hangs, has not answered"
-            raise Refusal(f"{', '.join([*names, late])}; press STOP again", unconfirmed=[])
+            late = f"{unheard} more, which connects to a bench or hangs, does not answer"
+            remedy = "stop it at its terminal, or with `rig off BENCH`"
+            raise Refusal(f"{', '.join([*names, late])}: {remedy}", unconfirmed=[])
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
 
     async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:

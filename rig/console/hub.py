@@ -246,6 +246,7 @@ class Links:
 
 
 TICK_S: Final = 0.1
+ANSWER_TICKS: Final = 10  # how long a STOP waits for programs that have not answered yet
 _LOOK_S: Final = 0.5
 _ENDED: Final = 5
 _READS: Final = 4  # greatest number of blocks of a recording that are read in one tick
@@ -355,9 +356,15 @@ class Hub:
             except Refusal as error:
                 failed[each.key] = str(error)
 
-        while wave := [each for each in self.moving if each not in sent]:
-            sent += wave
-            await asyncio.gather(*map(stop, wave))
+        for _ in range(ANSWER_TICKS):
+            while wave := [each for each in self.moving if each not in sent]:
+                sent += wave
+                await asyncio.gather(*map(stop, wave))
+            if not self.unheard:
+                break
+            # A program that connects to its bench is known only when it answers.
+            await asyncio.sleep(TICK_S)
+            self._look(time.monotonic())
         return sent, failed
 
     def run_of(self, page: Page) -> Followed | None:

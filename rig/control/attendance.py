@@ -18,7 +18,7 @@ from rig.common.locks import lock_files
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import Plan
-from rig.terminal.stop_button import StopButton
+from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.connect import Attach, connect, resources
 from rig.wiring.devices import Devices
 
@@ -96,19 +96,22 @@ def connected(
     The computer of a real bench is kept awake, where this is possible. ``wait_s``: see
     :func:`when_free`.
     """
+    opened = partial(connect, document, seed, realtime, attach, torque_offset, purpose)
+    files = lock_files(resources(document.value))
     with ExitStack() as stack:
-        with stop.interruptible():
-            opened = partial(connect, document, seed, realtime, attach, torque_offset, purpose)
-            files = lock_files(resources(document.value))
 
-            def attempt() -> Devices:
-                stop.check()  # answers the console, and takes its STOP
-                return stack.enter_context(opened())
+        def attempt() -> Devices:
+            stop.check()  # answers the console, and takes its STOP
+            return stack.enter_context(opened())
 
-            devices = when_free(attempt, wait_s, say, RealClock(), files)
-            if not document.value.simulated:
-                why = stack.enter_context(kept_awake(purpose))
-                devices = dataclasses.replace(devices, awake=why)
+        try:
+            with stop.interruptible():
+                devices = when_free(attempt, wait_s, say, RealClock(), files)
+                if not document.value.simulated:
+                    why = stack.enter_context(kept_awake(purpose))
+                    devices = dataclasses.replace(devices, awake=why)
+        except OperatorStopError as error:
+            raise KeyboardInterrupt from error  # as a stop signal
         yield devices
 
 

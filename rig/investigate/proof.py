@@ -147,6 +147,9 @@ class SimulatedInvestigation(Investigation):
         """Return the recordings of an experiment."""
         return Dataset(self._kept[folder.name])
 
+    def _moved(self, e: Experiment) -> bool:
+        return bool(self._kept.get(e.run))
+
     def began(self, folder: Path) -> bool:
         """Whether an experiment was simulated."""
         return folder.name in self._kept

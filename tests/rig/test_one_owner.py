@@ -21,9 +21,11 @@ from rig.common.locks import OWNER_FILE, Lock, Resource, hold_bench, lock_files
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.control import attendance
 from rig.control.attendance import when_free
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
+from rig.terminal.stop_button import StopButton
 from rig.wiring import connect as connect_module
 from rig.wiring.connect import connect, resources
 
@@ -135,6 +137,29 @@ def test_a_run_waits_for_a_bench_that_is_in_use(tmp_path):
         assert lock.descriptors
     assert clock.now_ns() == 20 * NS
     assert ["`rig jog`" in words for words in said] == [True, True]
+
+
+@pytest.mark.parametrize("at", [1, 2, 4])
+def test_a_stop_of_the_console_ends_the_wait_for_a_bench_as_ctrl_c_does(monkeypatch, at) -> None:
+    stop, asked = StopButton(), []
+
+    def listen() -> None:
+        asked.append(None)
+        if len(asked) == at:
+            stop.press("STOP by the console")
+
+    def busy(*_: object) -> None:
+        raise InUseError("in use")
+
+    stop.listen = listen
+    monkeypatch.setattr(attendance, "connect", busy)
+    monkeypatch.setattr(attendance, "RealClock", SimulatedClock)
+    with (
+        pytest.raises(KeyboardInterrupt),
+        attendance.connected(stop, load_bench("practical"), 0, False, wait_s=60.0),
+    ):
+        pass
+    assert (len(asked), stop.presses) == (at, 1)
 
 
 def test_who_waits_for_a_bench_is_seen_by_rig_off_and_holds_nothing(tmp_path):

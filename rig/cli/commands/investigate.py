@@ -109,7 +109,12 @@ def investigate(
             )
         state = investigation.load_state(folder)
         if budget_min is not None:
-            state.budget_min, state.ended = budget_min, "" if not state.confirm else state.ended
+            if state.confirmation or state.confirm:
+                raise InputError(
+                    "--budget: this investigation has ended with its confirming experiment; begin "
+                    "a new one with its runs"
+                )
+            state.budget_min, state.ended = budget_min, ""
         if sha256_file(bench_file.path) != state.bench["sha256"]:
             raise InputError(
                 f"{bench_file.path}: changed since the investigation began; resume it with the "

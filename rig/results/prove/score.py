@@ -71,7 +71,7 @@ def located(
     if entry.place is not None:
         at = round(true.get("recording", 0)) - 1
         own = recordings[at] if 0 <= at < len(recordings) else None
-        files = {_PIECE.sub("", name) for name in where["recordings"]}
+        files = {n if n in recordings else _PIECE.sub("", n) for n in where["recordings"]}
         place = own in files and len(files) <= 2
     else:
         place = found == expected or found in LIKE.get(expected, ())

@@ -46,6 +46,7 @@ def test_machines_are_sealed_investigated_and_scored_and_a_row_is_not_computed_a
     def run(self: SimulatedInvestigation) -> Any:
         ran.append(self)
         self._first()
+        assert all(map(self._moved, self.state.experiments))
         return SimpleNamespace(diagnosis=verdict), None
 
     verdict = SimpleNamespace(verdict=Verdict.NOTHING_MISSING, effects=())
