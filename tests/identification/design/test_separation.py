@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from identification.design import separation
 from identification.design.separation import (
     NOTHING,
     OUTSIDE,
@@ -25,8 +26,12 @@ from identification.design.separation import (
     separations,
     visibility,
 )
-from identification.diagnosis.comparison import preference
+from identification.diagnosis.comparison import Round, preference
+from identification.diagnosis.result import Verdict
+from identification.diagnosis.search import Search
+from identification.effects import MOTION
 from identification.numerics.arrays import Array
+from tests.identification.diagnosis.benches import FEW, campaign, nominal_fit
 
 
 def said(left: Array, slopes: Array, shown: Array | None = None) -> Evidence:
@@ -171,3 +176,20 @@ def test_the_truth_is_rejected_as_rarely_as_stated(correlated: bool) -> None:
         rival = truth + 0.1 * np.sin(np.arange(1000) / 3.0)
         rejected += level(fitted(rival, 10), fitted(truth, 10)) >= REJECTED
     assert rejected <= 20, "1 % of 1000 are expected at most"
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_question_compares_only_its_effects_in_any_order(order: int) -> None:
+    every = campaign({"asymmetric_coulomb": {"torque_Nm": 0.6}}, 2, 6.0, FEW)
+    joint, known = nominal_fit(every), {t.name: t for t in MOTION}
+    final = separation.fitted_with(joint, joint, known["asymmetric_coulomb"])
+    assert final is not None
+    rounds = (Round("asymmetric_coulomb", ()),)
+    found = Search(joint, final, rounds, 1e-9, 1.0, "", ())
+    wanted = ("asymmetric_viscous", "quadratic_drag")[::order]
+    weighed = separation.weigh(found, Verdict.NAMED, MOTION, wanted)
+    names = [h.name for h in weighed.hypotheses]
+    assert sorted(names) == sorted([*wanted, separation.NOTHING])
+    assert names[0] == "asymmetric_viscous"
+    assert weighed.hypotheses[0].preference == 0.0
+    assert "asymmetric_coulomb" not in weighed.odds
