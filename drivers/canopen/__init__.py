@@ -1,3 +1,1 @@
 """CANopen master: link, node, SDO, PDO, EMCY, EDS files, and the profiles CiA 402, 404 and 406."""
-
-import drivers.can  # noqa: F401 - before a library imports python-can

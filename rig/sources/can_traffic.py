@@ -4,7 +4,6 @@ logging of MDF), and its signals by a DBC file.
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
@@ -14,7 +13,6 @@ from typing import Any, BinaryIO, NamedTuple, TextIO, cast
 
 import can
 import can.io
-import can.io.mf4
 import numpy as np
 from numpy.typing import NDArray
 
@@ -242,12 +240,8 @@ class _Source:
 
 def _mf4(path: Path) -> Iterator[can.Message]:
     library("asammdf", path, "MDF", "mdf")
-    # The package drivers imports python-can without its reader of MDF.
-    mf4: Any = can.io.mf4
-    if mf4.asammdf is None:
-        mf4 = importlib.reload(mf4)
     with heard("asammdf"), open_binary(path) as stream:
-        reader = mf4.MF4Reader(cast(BinaryIO, stream))
+        reader = can.io.MF4Reader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.
         reader._start_timestamp = 0.0
         yield from reader

@@ -2,10 +2,7 @@
 
 import json
 import socket
-import subprocess
-import sys
 import time
-from importlib import util
 from threading import Thread
 
 import can
@@ -155,17 +152,3 @@ def test_a_server_that_is_gone_is_an_error_at_once(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("python-can tries"))
     with pytest.raises(LinkError):
         CanopenLink.on_interface(RealClock(), "socketcand", "can0", 500_000).open()
-
-
-@pytest.mark.parametrize("first", ["rig.cli.commands.bench", "drivers.mock.bench", "drivers.epos"])
-def test_no_start_waits_for_a_reader_of_measurement_files(first: str) -> None:
-    code = (
-        f"import sys, {first}, can\n"
-        "assert not {'asammdf', 'pandas'} & {*sys.modules}\n"
-        "import importlib.util as u\n"
-        "print(u.find_spec('asammdf') is not None)"
-    )
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert found.stdout.strip() == str(util.find_spec("asammdf") is not None)
