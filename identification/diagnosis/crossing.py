@@ -43,6 +43,7 @@ class Crossing:
 
     inertia: float  # inertia of the rotor at the joint, kg m^2
     torque: float  # torque that closes the loop, N m; about zero for a gap
+    torque_error: float  # standard error of this torque, N m
     share: float  # ratio of this torque to the torque of the motion
     error: float  # standard error of the ratio, from the scatter over crossings and `gap_scatter`
 
@@ -77,7 +78,8 @@ def crossing_torque(
     spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[RISE, RISE]))
     usual = float(np.median(np.concatenate(moving)))
     inertia, rise = float(found[INERTIA]), float(found[RISE])
-    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, RULES.gap_scatter))
+    error = math.hypot(spread / usual, RULES.gap_scatter)
+    return Crossing(inertia, rise, error * usual, rise / usual, error)
 
 
 def _columns(
@@ -212,7 +214,7 @@ def _with_travel(
     if not kind.torque_rises or seen is None or seen.torque <= 0.0:
         return Added(*kind.of_travel(travel, rotor, twist, None), (1.0,))
     found = seen.inertia if seen.inertia > 0.0 else rotor
-    return Added(*kind.of_travel(travel, found, twist, seen.torque), (1.0,))
+    return Added(*kind.of_travel(travel, found, twist, (seen.torque, seen.torque_error)), (1.0,))
 
 
 def distinguished_by_crossings(one: Effect, other: Effect) -> bool:

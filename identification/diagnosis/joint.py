@@ -401,7 +401,8 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
 
     With ``form``, the intervals include the error of the form of the effect, which is not in this
     scatter (:func:`_form_error`). A parameter that the fit selects from a list, such as a number of
-    periods per turn, has an interval of zero width.
+    periods per turn, has an interval of zero width; one that was measured apart has that
+    measurement's.
 
     The fields for units are empty, because the catalogue states the units.
     """
@@ -433,7 +434,7 @@ def estimates(joint: Joint, form: bool = True) -> tuple[dict[str, Estimate], ...
                 off * (1.0 if name.split("_")[0] in ANGLES else abs(value - absent.get(name, 0.0))),
             )
             if np.any(s != 0.0)
-            else 0.0
+            else wide * effect.term.measured.get(name, 0.0)
             for (name, s), value in zip(slopes.items(), values.values(), strict=True)
         }
         out.append(

@@ -153,7 +153,7 @@ class Clearance:
         raise NotImplementedError
 
     def of_travel(
-        self, travel: float, rotor: float, per_torque: float, closing: float | None
+        self, travel: float, rotor: float, per_torque: float, closing: tuple[float, float] | None
     ) -> tuple[Effect, Shape]:
         """Return an effect of this kind with the given travel.
 
@@ -161,7 +161,8 @@ class Clearance:
             travel: Travel, rad.
             rotor: Inertia of the rotor at the joint, kg m^2.
             per_torque: Compliance of the shaft, rad/(N m), per count of its encoder.
-            closing: Torque that the travel takes, N m, if it is known better than from a fit.
+            closing: Torque that the travel takes and its standard error, N m, if they are known
+                better than from a fit.
         """
         raise NotImplementedError
 
@@ -239,6 +240,8 @@ class Effect:
         varies: Names of the equations whose regressors change with the nominal values although the
             coefficients do not change.
         limits: Index of a nonlinear parameter to its least and greatest physical value.
+        measured: Name of a parameter of the catalogue that something else than the fit determined
+            to its standard error.
         place: Index of the nonlinear parameter that is the number of the only recording with the
             effect; None for an effect that occurs in all recordings.
         start: Name of an equation to the regressor of an unknown state at the start of a recording;
@@ -283,6 +286,7 @@ class Effect:
     at_angle = False
     varies: tuple[str, ...] = ()
     limits: Mapping[int, tuple[float, float]] = {}
+    measured: Mapping[str, float] = {}
     place: int | None = None
     start: Mapping[str, Columns] = {}
 

@@ -553,6 +553,10 @@ class BrushDrop(_Drop):
     def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"voltage_V": float(c[0]), "current_A": shape[0] * shape[2]}
 
+    def physical_range(self, name: str) -> tuple[float, float]:
+        # The limits are shares of the greatest current.
+        return (0.0, np.inf) if name in self.nonlinear else super().physical_range(name)
+
     def indistinct(self, parameters: Mapping[str, float], views: Sequence[View]) -> tuple[str, ...]:
         # Over a range of current that passes within one sample period, the drop may be the step of
         # a dead time.

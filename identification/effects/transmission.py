@@ -243,7 +243,7 @@ class Backlash(Clearance, Effect):
         return 0.0
 
     def of_travel(
-        self, travel: float, rotor: float, per_torque: float, _closing: float | None
+        self, travel: float, rotor: float, per_torque: float, _closing: tuple[float, float] | None
     ) -> tuple[Effect, Shape]:
         return self, Gap(travel, 0.5 * TWIST_COUNTS[1], per_torque, rotor)
 
@@ -495,12 +495,13 @@ class CouplingHysteresis(Clearance, Effect):
         return Loop(*shape).torque
 
     def of_travel(
-        self, travel: float, rotor: float, per_torque: float, closing: float | None
+        self, travel: float, rotor: float, per_torque: float, closing: tuple[float, float] | None
     ) -> tuple[Effect, Shape]:
-        loop = Loop(closing or 1.0, rotor, 0.5 * travel, 0.5 * TWIST_COUNTS[1], per_torque)
+        torque, error = closing or (1.0, 0.0)
+        loop = Loop(torque, rotor, 0.5 * travel, 0.5 * TWIST_COUNTS[1], per_torque)
         if closing is None:
             return self, loop
         # The closing torque is fixed, because the crossings determine it better than the angles;
         # the other nonlinear parameters are fitted.
         sought = {k: reach for k, reach in self.refine.items() if Loop._fields[k] != "torque"}
-        return self.modified(refine=sought), loop
+        return self.modified(refine=sought, measured={"torque_Nm": error}), loop

@@ -59,6 +59,11 @@ def test_fitted_values_are_the_parameters_and_back(term: Effect) -> None:
     found = term.read(np.full(width.pop(), 0.5), shapes[0], context)
     assert set(found) == {q.name for q in term.parameters}
     assert all(np.isfinite(v) for v in found.values())
+    for index, (_, most) in term.limits.items():
+        greatest = list(shapes[0])
+        greatest[index] = most if np.isfinite(most) else greatest[index]
+        read = term.read(np.full(1, 0.5), tuple(greatest), context)
+        assert all(lo <= read[n] <= hi for n in read for lo, hi in [term.physical_range(n)])
 
 
 @pytest.mark.parametrize("term", MOTION, ids=lambda t: t.name)

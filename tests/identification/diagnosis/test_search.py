@@ -311,6 +311,9 @@ def test_each_is_named_and_the_other_rejected(name: str) -> None:
         for r in found.effects[0].rivals
         if r.name in ("backlash", "coupling_hysteresis")
     ] == [True]
+    if name == "coupling_hysteresis":
+        closing = found.effects[0].parameters["torque_Nm"]
+        assert closing.low < CLOSES_N_M < closing.high < 1.3 * CLOSES_N_M
 
 
 @pytest.mark.parametrize(("name", "told"), [("backlash", True), ("coupling_hysteresis", False)])
