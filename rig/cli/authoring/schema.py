@@ -10,8 +10,9 @@ every row of a table, overrides.
 from __future__ import annotations
 
 import inspect
+import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from pydantic import BaseModel, TypeAdapter
@@ -324,7 +325,7 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
     channels.pop("propertyNames", None)
     window = definitions["RecordingSection"]["properties"]["window"]
     window["anyOf"].append(_SHORT_WINDOW)
-    definitions.update(_partial(definitions, "RecordingSection"))
+    _add_partial(definitions, "RecordingSection")
     partial = {"$ref": f"#/definitions/{_PART}RecordingSection"}
     tree["properties"]["defaults"] = {
         **partial,
@@ -349,38 +350,17 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
 
 
 _PART: Final = "Partial"
+_REFERENCE: Final = re.compile(r'(?<="#/definitions/)\w+')
 
 
-def _partial(definitions: Mapping[str, Tree], name: str) -> Iterator[tuple[str, Tree]]:
-    """Yield copies of a record and of the records below it, in which no key is required."""
-
-    def copied(node: Any) -> Any:
-        if isinstance(node, dict):
-            return {
-                key: f"{value.rpartition('/')[0]}/{_PART}{value.rpartition('/')[2]}"
-                if key == "$ref"
-                else copied(value)
-                for key, value in node.items()
-            }
-        return [copied(item) for item in node] if isinstance(node, list) else node
-
-    waiting, done = [name], set[str]()
-    while waiting:
-        current = waiting.pop()
-        if current in done:
-            continue
-        done.add(current)
-        found: list[str] = []
-        _walk(definitions[current], lambda node, found=found: found.extend(_reference(node)))  # type: ignore[misc]
-        waiting.extend(found)
-        node = copied(definitions[current])
-        node.pop("required", None)
-        yield f"{_PART}{current}", node
-
-
-def _reference(node: Tree) -> Iterator[str]:
-    if isinstance(node.get("$ref"), str):
-        yield node["$ref"].rpartition("/")[2]
+def _add_partial(definitions: dict[str, Tree], name: str) -> None:
+    """Add copies of a record and of the records below it, in which no key is required."""
+    if (copy := f"{_PART}{name}") in definitions:
+        return
+    text = json.dumps({key: each for key, each in definitions[name].items() if key != "required"})
+    definitions[copy] = json.loads(_REFERENCE.sub(rf"{_PART}\g<0>", text))
+    for below in _REFERENCE.findall(text):
+        _add_partial(definitions, below)
 
 
 def _faults(_tree: Tree, definitions: Tree) -> None:
