@@ -151,36 +151,23 @@ SEAL_FILE = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 
 
-def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
+def seal(folder: Path, names: Iterable[str]) -> None:
     """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept."""
+    path = folder / SEAL_FILE
     try:
-        sealed = dict(read_seal(folder))
+        found = [_LINE.fullmatch(line) for line in read_utf8(path).splitlines()]
     except InputError:
-        # A damaged seal is replaced by the digests of the given files.
-        sealed = {}
+        found = []
+    # A damaged seal is replaced by the digests of the given files.
+    sealed = {match[2]: match[1] for match in found if match} if all(found) else {}
     sealed |= {name: sha256_file(folder / name) for name in names if is_file(folder / name)}
     lines = (f"{digest}  {name}\n" for name, digest in sorted(sealed.items()))
-    write_text(folder / SEAL_FILE, "".join(lines))
-    return sealed
+    write_text(path, "".join(lines))
 
 
-def seal_run(folder: Path, record: RunRecord) -> dict[str, str]:
+def seal_run(folder: Path, record: RunRecord) -> None:
     """Record the digests of a run's record and recordings at its end."""
-    return seal(folder, [RUN_FILE, *(part.file for part in record.parts)])
-
-
-def read_seal(folder: Path) -> Mapping[str, str]:
-    """Return the digests in the seal, by name; empty if the folder has no seal."""
-    path = folder / SEAL_FILE
-    if not is_file(path):
-        return {}
-    found = {}
-    for number, line in enumerate(read_utf8(path).splitlines(), start=1):
-        match = _LINE.fullmatch(line)
-        if match is None:
-            raise InputError(f"{path}:{number}: the line must have the form `SHA-256  file`")
-        found[match[2]] = match[1]
-    return found
+    seal(folder, [RUN_FILE, *(part.file for part in record.parts)])
 
 
 def partial_names(dataset: Dataset) -> list[str]:
