@@ -52,7 +52,6 @@ class Excitation:
     # Begin and end of the windows of each stage since the start of its excitation, s.
     windows: dict[str, tuple[Window, ...]]
     carrier_rad_s: float  # peak speed of the carrier
-    tones_rad_s: float  # amplitude of the speed on each line of the stage `LARGE`
 
 
 def excitation(
@@ -136,7 +135,7 @@ def excitation(
         places[name] = tuple((c - 0.5 * window, c + 0.5 * window) for c in centres)
     sequence = Sequence(sequence=1, name="response", stages=tuple(made))
     head = "# Small tones on a slow carrier, at two amplitudes; made by `rig response`.\n"
-    return Excitation(sequence, sequence_text(sequence, head), lines, places, speed, tone)
+    return Excitation(sequence, sequence_text(sequence, head), lines, places, speed)
 
 
 def _lines(high_Hz: float, window_s: float, cycle_s: float) -> Array:
