@@ -74,7 +74,11 @@ def _text(path: Path) -> str | None:
 
 RUN_FILE = "run.json"  # record of a run in its folder
 IDENTIFY_SCHEMA = "loadrig.identify/1"
+DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
+ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"
 RESULT_FILE = "identify.json"  # name of the result file of `rig identify` in a run folder
+FRICTION_FIGURE = "figures/stribeck_default.png"
+"""Name in a run folder of the figure that shows the result of an identified run."""
 
 
 @dataclass(frozen=True)

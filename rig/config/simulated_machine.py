@@ -24,7 +24,7 @@ from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sen
 from rig.common.yaml_tree import Mark, Node
 from rig.config.configuration import nearest
 
-_PAPER_TORQUE_N_M: Final = 75.0
+PAPER_TORQUE_N_M: Final = 75.0
 """Torque limit, N m, of a bench whose default friction is the paper's, without scaling."""
 _FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
 _ANY_SIGN: Final = frozenset({"temperature_C"})
@@ -87,7 +87,7 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
         "back_emf_constant_V_s_rad",
         "gear_ratio",
     )
-    torque = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
+    torque = (_number(bench, "limits", "torque_N_m") or PAPER_TORQUE_N_M) / PAPER_TORQUE_N_M
     scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
     joint = {name: getattr(Joint, name) * torque for name in scaled}
     joint |= _of_machine(bench, "moment_arm_m", "lever_ratio", "gravity_m_s2")

@@ -16,11 +16,12 @@ import can.io
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.can.port import EXTENDED_FLAG, hexadecimal
+from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, hexadecimal
 from drivers.dbc.file import load_dbc
 from drivers.errors import ConfigurationError
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
+from rig.sources.repair import Mask
 from rig.sources.table import (
     Array,
     Column,
@@ -34,7 +35,6 @@ from rig.sources.table import (
 )
 from rig.sources.text import encoding_of, open_text
 
-ERROR_FLAG = 0x20000000  # flag that SocketCAN sets in the identifier of an error frame
 _CANDUMP = re.compile(
     r"\((\d+)(\.\d+)?\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"((?:#[0-9A-Fa-f])?(?:[0-9A-Fa-f]{2})*|[Rr]\d?)(\s+[RTrt])?"
@@ -271,7 +271,6 @@ def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
 MOST_BITS = 64
 _FLOATS = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
 """Types of the bits and of the value of a floating-point number, by its width, bits."""
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from mcap.stream_reader import StreamReader
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
 from rig.runs.mcap.reader import HEADER
+from rig.runs.mcap.writer import MAGIC
 from rig.sources.table import Array, library, open_binary
 from rig.sources.text import (
     LONGEST_LIST,
@@ -32,7 +33,6 @@ from rig.sources.text import (
     series,
 )
 
-MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Head of a chunk: start, end, size, checksum and length of the compression's name."""
 

@@ -22,7 +22,7 @@ from rig.config.campaign import load_campaign
 from rig.config.configuration import Document
 from rig.config.sequence import load_sequence
 from rig.config.serial_bus import SerialBus, overload
-from rig.config.simulated_machine import derived
+from rig.config.simulated_machine import PAPER_TORQUE_N_M, derived
 from rig.planning.plan import make_plan
 from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
@@ -40,7 +40,6 @@ _PERIODS_MS: Final = (2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)
 """Control cycles, ms, from which one is chosen for a serial line; all rates in Hz are round."""
 _ROTOR_SHARE: Final = 0.8
 """Largest share of the rotor's inertia in the joint's inertia of a simulated bench."""
-_PAPER_TORQUE_N_M: Final = 75.0
 _PERIODS, _SHORTEST_S, _RAMP_S = 4.0, 20.0, 1.0
 """Default duration of a stage: so many periods, at least this time; fade-in and fade-out."""
 _DATA_SHEET = (
@@ -425,9 +424,7 @@ def remarks(answers: Answers, given: Mapping[str, Any]) -> list[str]:
     torque = _torque_N_m(answers)
     heaviest = max(answers["weights"], default=0.0)
     arm_N_m = answers["lever_ratio"] * heaviest * _GRAVITY_M_S2
-    needed = (
-        Joint.Ms_N_m * torque / _PAPER_TORQUE_N_M + Joint.mu_s * arm_N_m * answers["moment_arm"]
-    )
+    needed = Joint.Ms_N_m * torque / PAPER_TORQUE_N_M + Joint.mu_s * arm_N_m * answers["moment_arm"]
     if not _real(answers) and needed > _HARD_SHARE * torque:
         found.append(
             f"note: with {heaviest:g} kg the simulated friction reaches {needed:.3g} N m, of a "

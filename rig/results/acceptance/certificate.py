@@ -15,8 +15,8 @@ from identification.numerics.arrays import Progress, plain
 from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
 from identification.recording import Dataset
 from rig.common.places import usable
+from rig.common.provenance import ACCEPTANCE_SCHEMA, FRICTION_FIGURE, heading, sha256_file
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
-from rig.common.provenance import heading, sha256_file
 from rig.common.tables import interval, number
 from rig.common.text import valid
 from rig.config.acceptance import Limit
@@ -43,16 +43,13 @@ from rig.results.document import (
     write_record,
     write_texts,
 )
-from rig.results.run.go_on import CERTIFICATE_PAGE
+from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE
 from rig.results.run.report import REPORT_FILE, write_verdict
-from rig.runs.catalogue.index import bench_name
+from rig.runs.catalogue.index import ROLES, bench_name
 from rig.runs.run_file import seal, seal_run
 from rig.runs.run_record import RUN_FILE, Ending, PartRecord, RunRecord
 
-FRICTION_FIGURE = "figures/stribeck_default.png"
-"""Name of the figure that shows the result of an identified run."""
 RULE = "A constant passes if its whole 90 % interval is within the limits."
-_ROLES = ("servo", "encoder", "pressure")
 
 
 def make_certificate(
@@ -93,7 +90,7 @@ def make_certificate(
     )
     known = record.parts[-1].devices
     devices = columns(
-        [(role, known[role]) for role in _ROLES if known.get(role)],
+        [(role, known[role]) for role in ROLES if known.get(role)],
         (),
         ("device", lambda d: d[0]),
         ("name", lambda d: str(d[1]["name"])),
@@ -214,8 +211,6 @@ def _overview(dataset: Dataset) -> Figure:
     return made
 
 
-ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"
-RESULT_FILE = "acceptance.json"
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 does not allow."""
 
@@ -307,8 +302,8 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     used = {n: sha256_file(folder / n) for n in names if (folder / n).is_file()}
     inputs = {**evidence.digests, **used}
     result = acceptance_record(record, source, checks, inputs)
-    write_record(result, folder / RESULT_FILE, None)
-    digests = {**inputs, RESULT_FILE: sha256_file(folder / RESULT_FILE)}
+    write_record(result, folder / ACCEPTANCE_FILE, None)
+    digests = {**inputs, ACCEPTANCE_FILE: sha256_file(folder / ACCEPTANCE_FILE)}
     made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
     certificate = make_certificate(folder, bench, evidence, checks, digests, made)
     write_texts({CERTIFICATE_PAGE: filled("certificate.html.j2", certificate)}, folder)

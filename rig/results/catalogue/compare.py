@@ -16,12 +16,11 @@ from identification.numerics.arrays import plain
 from identification.numerics.spread import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Dataset
 from rig.common.errors import InputError
-from rig.common.provenance import heading
+from rig.common.provenance import FRICTION_FIGURE, heading
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, picture
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (
     COLUMNS,
-    FIGURE,
     cells,
     copies_of,
     place,
@@ -289,9 +288,10 @@ def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Ite
 
 def _stored(each: Compared) -> tuple[Block, ...]:
     """Return the figures of a run's own report, if their files exist."""
-    picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
+    picture = stored_picture(each.run, FRICTION_FIGURE, f"Friction against speed, {each.run}")
     missing = Note(
-        f"{each.run / FIGURE} does not exist; draw it with `rig identify {each.run}`", "aside"
+        f"{each.run / FRICTION_FIGURE} does not exist; draw it with `rig identify {each.run}`",
+        "aside",
     )
     shown: list[Block] = [picture or missing]
     for file in sorted((each.run / "figures").glob("response_*.png"))[:4]:

@@ -13,7 +13,7 @@ from typing import Any
 from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figure, figure
 from rig.common.errors import InputError
 from rig.common.places import is_file
-from rig.common.provenance import heading
+from rig.common.provenance import FRICTION_FIGURE, heading
 from rig.common.tables import interval, number
 from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, columns
 from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
@@ -199,8 +199,6 @@ PAGES = (
     ("certificate.html", "certificate"),
 )
 """Pages that a run folder may contain, and their content."""
-FIGURE = "figures/stribeck_default.png"
-"""Name of the figure that shows the result of an identified run."""
 
 
 def show_document(root: Path, entry: Entry) -> Document:
@@ -236,7 +234,7 @@ def show_document(root: Path, entry: Entry) -> Document:
         blocks.append(Section("", remarks))
     if pages := tuple((str(folder / name), text) for name, text in PAGES if is_file(folder / name)):
         blocks.append(Section("Pages", (Items(pages),)))
-    figure = stored_picture(folder, FIGURE, "Friction against speed, measured and fitted")
+    figure = stored_picture(folder, FRICTION_FIGURE, "Friction against speed, measured and fitted")
     lead = () if figure is None else (Section("", (figure,)),)
     return Document(f"Run {place(root, entry)}", "", tuple(blocks), (*lead, *blocks))
 

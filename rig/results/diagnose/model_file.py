@@ -19,11 +19,9 @@ from identification.numerics.spread import Spread
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, constants_of
+from rig.common.provenance import DIAGNOSE_SCHEMA, IDENTIFY_SCHEMA, Provenance, constants_of
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
-
-DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
 
 
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:

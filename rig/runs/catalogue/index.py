@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_bytes, read_json, replacing, usable
-from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
+from rig.common.provenance import ACCEPTANCE_SCHEMA, DIAGNOSE_SCHEMA, IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
 from rig.runs.mcap.reader import DamageError, first_attachment
@@ -184,7 +184,6 @@ def _store(root: Path, file: Path, rows: Iterable[_Row]) -> str:
 
 IDENTIFY, DIAGNOSE, ACCEPTANCE = RESULTS
 ROLES = ("servo", "encoder", "pressure")  # roles of the devices of a bench
-_DIAGNOSE_SCHEMA, _ACCEPTANCE_SCHEMA = "loadrig.diagnose/1", "loadrig.acceptance/1"
 _TEXTS = {"sequence": "name", "created": "created", "state": "state", "message": "message"}
 
 Benches = MutableMapping[str, str]
@@ -212,8 +211,8 @@ def _read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
     head = dataclasses.replace(
         _head(folder, record, benches),
         identified=str(identified.get("method", "")),
-        diagnosis=_verdict(diagnosed, _DIAGNOSE_SCHEMA),
-        acceptance=_verdict(accepted, _ACCEPTANCE_SCHEMA),
+        diagnosis=_verdict(diagnosed, DIAGNOSE_SCHEMA),
+        acceptance=_verdict(accepted, ACCEPTANCE_SCHEMA),
         digest=digest,
         notes=tuple(notes),
     )
