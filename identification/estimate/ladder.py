@@ -102,7 +102,6 @@ class Transfer:
     floor: Floor | None
     by_recording: Mapping[str, Fit]  # torque error of the transferred model on each recording
     parameters: tuple[Moved, ...]
-    other: Identification
 
 
 def transfer(
@@ -150,7 +149,6 @@ def transfer(
         floor=noise_floor(prepared, own.fitted, own.alpha),
         by_recording={p.recording.name: fit_of([p], first.fitted, first.alpha) for p in prepared},
         parameters=tuple(moved(first.parameters[name], own.parameters[name]) for name in names),
-        other=own,
     )
 
 
