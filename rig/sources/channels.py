@@ -152,14 +152,16 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
     finite = values[np.isfinite(values)]
     if finite.size < 3 or np.any(finite != np.rint(finite)):
         return values, ""
-    steps = np.diff(finite)
+    steps, low, high = np.diff(finite), finite.min(), finite.max()
     turn = starts_again(finite) if name in POSITIONS else None
     for power in POWERS:
         modulus = float(2**power)
         if turn is not None and not turn.agrees(modulus):
             continue
         jumps = np.abs(steps) > modulus / 2
-        if not jumps.any() or not _in_window(finite, modulus):
+        # Whether all values fit into an unsigned or a signed counter with this modulus.
+        fit = (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
+        if not jumps.any() or not fit:
             continue
         turned = steps - modulus * np.sign(steps) * jumps
         if np.max(np.abs(turned)) > ORDINARY_SHARE * modulus:
@@ -169,7 +171,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
             return _continued(values, modulus), (
                 f"a counter of {power} bits that overflows {count} times: corrected"
             )
-        if finite.min() >= 0 and len(np.unique(finite)) >= LEVELS:
+        if low >= 0 and len(np.unique(finite)) >= LEVELS:
             signed = np.where(values >= modulus / 2, values - modulus, values)
             return signed, (
                 f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
@@ -190,12 +192,6 @@ def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tu
         return values, ""
     turned, note = unwrapped(name, whole)
     return (values + factor * (turned - whole), note) if note else (values, "")
-
-
-def _in_window(values: Array, modulus: float) -> bool:
-    """Return whether all values fit into an unsigned or a signed counter with this modulus."""
-    low, high = float(values.min()), float(values.max())
-    return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
 
 
 JUMP, ORDINARY = 0.6, 0.4

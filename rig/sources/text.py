@@ -69,11 +69,6 @@ def _utf8(text: str) -> str:
         return text.lstrip("\ufeff")
 
 
-def _without_mark(text: str) -> str:
-    """Remove a byte-order mark, decoded as UTF-8 or Latin-1, from the start of a line."""
-    return text.removeprefix("\ufeff").removeprefix("\xef\xbb\xbf")
-
-
 def _guess_delimiter(lines: Sequence[str], decimal: str) -> str:
     """Return the delimiter of the first lines with content, header first."""
     text = lines[0]
@@ -426,10 +421,11 @@ class DelimitedTable(Table):
 
     def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
         for line, text in enumerate(stream, start=1):
-            if line > self._skip:
-                content = _without_comment(_without_mark(text) if line == 1 else text)
-                if content:
-                    yield line, content
+            if line == 1:
+                # A byte-order mark, decoded as UTF-8 or Latin-1.
+                text = text.removeprefix("\ufeff").removeprefix("\xef\xbb\xbf")
+            if line > self._skip and (content := _without_comment(text)):
+                yield line, content
 
 
 def _names_its_row(line: str, cell: str) -> bool:

@@ -80,7 +80,8 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
     found = {}
     for name in CHANNELS:
         noise = _rms([_gap(name, first, last)]) / np.sqrt(2.0)
-        floor = _quantum(getattr(first, name)) / np.sqrt(12.0)
+        steps = np.diff(np.unique(getattr(first, name)))
+        floor = (steps.min() if steps.size else 1e-3) / np.sqrt(12.0)
         found[name] = float(_rms([_gap(name, a, b) for a, b in pairs]) / max(noise, floor))
     return found
 
@@ -96,12 +97,6 @@ def _gap(name: str, a: Samples, b: Samples) -> Array:
 def _rms(parts: Sequence[Array]) -> float:
     joined = np.concatenate(parts)
     return float(np.sqrt(np.mean(np.square(joined)))) if joined.size else 0.0
-
-
-def _quantum(values: Array) -> float:
-    """Return the smallest step between two different values of a channel."""
-    steps = np.diff(np.unique(values))
-    return float(steps.min()) if steps.size else 1e-3
 
 
 AVERAGED = ("current", "voltage")
