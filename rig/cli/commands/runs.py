@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
 from rig.common.places import require_folder, write_asked
-from rig.runs.catalogue.entry import VERDICTS
+from rig.runs.catalogue.entry import VERDICTS, time_of
 
 if TYPE_CHECKING:
     from rig.config.acceptance import Limit
@@ -39,14 +39,13 @@ class _Day(_Time):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> datetime:
         """Return the time."""
-        try:
-            found = datetime.fromisoformat(value)
-        except ValueError:
+        found = time_of(value)
+        if found is None:
             self.fail(f"{value!r} is no date; write 2026-11-27 or 2026-11-27T08:30", param, ctx)
         with suppress(ValueError, OverflowError):
             if self._last and date.fromisoformat(value):
                 found += timedelta(days=1)
-        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+        return found
 
 
 _FILTERS = (

@@ -23,7 +23,7 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256
-from rig.results.prove.engine import DEATHS, Result, Task, died
+from rig.results.prove.engine import AHEAD, DEATHS, Result, Task, died
 from rig.terminal.output import complain
 
 try:
@@ -38,7 +38,6 @@ MISSING = (
     "pip install 'loadrig[dask]'"
 )
 LOOPBACK = "127.0.0.1"
-AHEAD = 2  # number of tasks per worker that the scheduler holds at once
 WAIT_S = 60.0  # time, s, within which a scheduler must answer, and must have a worker
 IDLE = 3  # number of periods of `WAIT_S` after which a cluster without workers ends the command
 PACKAGES = ("loadrig", "numpy", "scipy", "numba", "mujoco")
