@@ -304,7 +304,8 @@ class TdmsTable(Table):
         with self._opened() as file:
             channels = file[self._bases[base].group].channels()
             dated = [c for c in channels if len(c) == self._whole[base].length and _is_dated(c)]
-            starts += [_exact(channel) for channel in _dated_channels(file)]
+            every = (c for group in file.groups() for c in group.channels())
+            starts += [_exact(c) for c in every if len(c) and _is_dated(c)]
             earliest = min(starts, default=None)
             if waveform is not None:
                 if waveform.start is None:
@@ -356,11 +357,6 @@ def _waveform(channel: Any) -> _Waveform | None:
 
 def _is_dated(channel: Any) -> bool:
     return channel.data_type is not None and channel.data_type.__name__ == "TimeStamp"
-
-
-def _dated_channels(file: Any) -> Iterator[Any]:
-    for group in file.groups():
-        yield from (channel for channel in group.channels() if len(channel) and _is_dated(channel))
 
 
 def _exact(channel: Any) -> tuple[int, int]:
