@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -29,10 +29,23 @@ from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
 from rig.weighing.weight_check import comparable, off_label
 
-METHODS: Mapping[str, Callable[..., Identification]] = {
-    "default": identify_any_length,
-    "paper": identify_paper,
-}
+
+class Method(Protocol):
+    """Signature of an estimator as the commands call it."""
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        *,
+        bandwidth_Hz: float | None,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+    ) -> Identification:
+        """Identify a dataset."""
+        ...
+
+
+METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Estimators by the names of their methods on the command line."""
 COMPARED_SEEDS = 5
 """Number of random seeds with which a comparison of methods runs each stochastic search."""
