@@ -386,6 +386,18 @@ def test_a_commissioning_ends_with_4(here: Path, stuck: None, options: tuple[str
     assert record["drive"]["verified"] is False
 
 
+@pytest.mark.parametrize("bench", BENCHES[:3])
+@pytest.mark.usefixtures("here", "stuck")
+def test_a_jog_ends_with_4(bench: str) -> None:
+    assert status(["jog", bench, "--to", "5", "--json", "jog.json"]) == 4
+    record = json.loads(Path("jog.json").read_text())
+    assert (record["state"], record["de_energised"]) == ("failed", False)
+    current_A = record["drive"]["current_A"]
+    assert abs(current_A) > 1.0
+    assert f"{abs(current_A):.2f} A flow" in record["message"]
+    assert "could NOT be verified" in record["message"]
+
+
 def test_a_resumed_run_does_not_begin(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("faults.yaml").write_text(
         "faults: 1\nrows: [{phase: prompt, stage: two, target: operator, fault: stop}]\n"
