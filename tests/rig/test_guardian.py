@@ -269,6 +269,23 @@ def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> N
     assert json.loads((tmp_path / REPORT_FILE).read_text())["safe"]["verified"] is False
 
 
+def test_a_drive_that_says_off_is_tried_until_no_current_flows(tmp_path: Path) -> None:
+    servo: Any = FakeDrive()
+    servo.current, clock = 3.98, SimulatedClock()
+    deed = stop(servo, clock, patience_s=2.0)
+    assert (deed.safe.verified, deed.attempts > 1) == (False, True)
+    assert 2.0 < deed.seconds < 3.0
+    assert "3.98 A" in report(deed, Ward({"name": "the drive"}, tmp_path), Cause.GONE)
+    safe = json.loads((tmp_path / REPORT_FILE).read_text())["safe"]
+    assert (safe["verified"], safe["current_A"]) == (False, pytest.approx(3.98))
+
+    def failed(deed: Deed) -> None:
+        servo.current = 0.0 if deed.attempts == 3 else servo.current
+
+    deed = stop(servo, clock, patience_s=9.0, failed=failed)
+    assert (deed.safe.verified, deed.attempts) == (True, 4)
+
+
 OFF = Deed(SafeState(True, "switch on disabled", ("it",), watched=False), 3, 0.0512)
 
 

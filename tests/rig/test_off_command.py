@@ -14,7 +14,7 @@ import pytest
 
 import drivers.mock
 from benchmarks.adapters import RealTimeBench
-from drivers.clock import SimulatedClock
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.bench import simulated_bench
 from drivers.mock.drive import SimulatedEposPort
@@ -33,6 +33,7 @@ from rig.wiring.connect import BareBench, bare_bench, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
 
 from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
+from .benches import variant
 from .drives import FakeDrive
 from .pty_bench import PtyBench, pty_bench
 from .test_one_owner import ANGLE, rig
@@ -228,6 +229,23 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
     assert PATIENCE_S < done.seconds < PATIENCE_S + 2.0
     assert "main supply" in done.message
     assert sum("trying" in words for words in desk.said) == 1
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_current_or_motion_of_a_drive_that_says_off_ends_with_4(desk, tmp_path, monkeypatch, moves):
+    desk.servo.current = 0.0 if moves else 3.98
+    clock, speed_rad_s = desk.link.clock, 0.1 if moves else 0.0
+    monkeypatch.setattr(Encoder, "reading", lambda _self: speed_rad_s * clock.now_ns() / NS)
+    bench = variant(tmp_path, ("port: mock", "port: /dev/some"), source="practical_serial")
+    file = tmp_path / "off.json"
+    assert status(["off", str(bench), "--json", str(file)]) == DEVICE_FAILED
+    record = json.loads(file.read_text())
+    assert (record["proved"], record["safe"]["verified"]) == (False, False)
+    assert record["safe"]["state"] == "switch on disabled"
+    assert record["safe"]["current_A"] == pytest.approx(desk.servo.current)
+    assert record["safe"]["motion_rad_s"] == pytest.approx(speed_rad_s, rel=0.1)
+    assert ("the joint moves" if moves else "3.98 A") in record["message"]
+    assert record["attempts"] > 1
 
 
 def test_a_port_that_is_back_while_it_is_tried_is_used(desk: Desk) -> None:
