@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import itertools
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,11 @@ from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE
 from drivers.mock.dbc_drive import STOP
 from drivers.mock.faults import LineFaults, WireFaults
+from drivers.mock.plant.machine import Loop
 from drivers.mock.power_state import Command
 from drivers.mock.power_state import State as State402
+from rig.control.cycle import Cycle
+from rig.terminal.stop_button import StopButton
 from rig.wiring.braking import (
     BRAKING_TIMEOUT_S,
     REACTION_S,
@@ -27,6 +31,7 @@ from rig.wiring.braking import (
     brake,
     next_state,
 )
+from rig.wiring.devices import Devices
 from rig.wiring.off import Steps
 from rig.wiring.runaway import RunawayError
 from rig.wiring.teardown import SafeState
@@ -38,6 +43,7 @@ from tests.drivers.test_modes import host_in
 from tests.drivers.test_servo import LIMITS
 
 from .drives import stopped_by_ramp
+from .test_cycle import LIMITS as CYCLE_LIMITS
 from .test_teardown import Servo
 
 CYCLE_NS = 10_000_000
@@ -560,3 +566,22 @@ def test_a_cycle_that_shows_a_runaway_ends_the_ramp_at_once() -> None:
     state, steps = braked(servo)
     assert servo.order == ["quick_stop", "watch", "disable", "state"]
     assert (state, steps.cut) == (OFF, "faster")
+
+
+@pytest.mark.parametrize("loop", ["velocity", "phases"])
+def test_a_ramp_that_goes_the_wrong_way_is_cut_by_the_control_cycle(loop: Loop) -> None:
+    """The loop changes its sign in motion, when the program orders the drive to brake."""
+    wire = Wire()
+    host, sink = wire.host, SimpleNamespace(sample=lambda *_: None)
+    devices = Devices(host.link, host.servo, host.encoder)
+    cycle = Cycle(CYCLE_LIMITS, NS // 1000, devices, sink, StopButton(), lambda *_: None)
+    cycle.ask_reset()
+    cycle.begin(0.16)
+    cycle.follow([0.16 + 0.8 * n / 1000 for n in range(1, 50)], 0, "motion")
+    host.bench.machine.reverse(loop)
+    wire.began_ns = host.clock.now_ns()
+    safe = stopped_by_ramp(host.servo, cycle.watch, host.clock, NS // 1000, watched=True)
+    assert (safe.verified, bool(safe.cut)) == (True, True)
+    assert wire.entered == [State402.QUICK_STOP_ACTIVE, State402.SWITCH_ON_DISABLED]
+    assert wire.off_s < 0.02
+    assert 0.8 < abs(wire.off_rad_s) < 3.0
