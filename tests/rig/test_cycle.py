@@ -1,23 +1,28 @@
 """The control cycle by itself: what goes out, what is recorded, what is judged, and when."""
 
 import dataclasses
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.clock import SimulatedClock, Suspension
+from drivers.clock import NS, SimulatedClock, Suspension
 from drivers.errors import LinkError
 from drivers.interfaces import EncoderSample, Lacks, PressureSample, RawFrame, ServoSample
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
+from rig.config.bench import load_bench
 from rig.control.cycle import SPACING, Cycle, TripError
 from rig.control.safety import Check, Trip
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.wiring.devices import Devices
 from rig.wiring.runaway import Runaway
+
+from .benches import variant
 
 PERIOD_NS = 1_000_000
 ANSWER_NS = 400_000
@@ -681,3 +686,25 @@ def test_a_pause_between_two_clock_reads_is_no_sleep() -> None:
 
     suspension = Suspension(boot_ns, lambda: boot[-1] + delays[len(boot) - 1])
     assert [suspension.passed_ns() for _ in delays[1:]] == [0] * 4
+
+
+def test_a_sleep_is_counted_by_the_clock_since_boot(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, boot_ns = 7, {7: 3 * NS}
+    monkeypatch.setattr(time, "CLOCK_BOOTTIME", clock, raising=False)
+    monkeypatch.setattr(time, "clock_gettime_ns", boot_ns.__getitem__, raising=False)
+    suspension = Suspension(awake_ns=lambda: 2 * NS)
+    boot_ns[clock] += 12 * NS
+    assert suspension.passed_ns() == 12 * NS
+
+
+@pytest.mark.parametrize(("real", "realtime"), [(True, False), (False, True), (False, False)])
+def test_a_sleep_is_looked_for_unless_time_is_simulated(tmp_path, real, realtime):
+    changes = (
+        ("interface: mock", "interface: virtual"),
+        ("servo: {", f"servo: {{eds: {DRIVE_EDS}, "),
+        ("encoder: {", f"encoder: {{eds: {ENCODER_EDS}, "),
+    )
+    document = load_bench(variant(tmp_path, *changes[: 3 * real]))
+    assert document.value.simulated is not real
+    with connect(document, 0, realtime) as devices:
+        assert (devices.suspension is not None) is (real or realtime)

@@ -18,12 +18,15 @@ from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.configuration import names
 from rig.config.sequence import load_sequence
-from rig.control.attendance import kept_awake, require_attendance
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG, sleep_words
+from rig.control import attendance
+from rig.control.attendance import connected, kept_awake, require_attendance
 from rig.control.operator import AutomaticOperator, StopButton
 from rig.control.session import execute
 from rig.planning.plan import Plan, make_plan
 from rig.runs.run_record import Ending
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
+from rig.wiring.devices import unprotected
 from rig.wiring.preflight import bench_findings, device_findings
 
 from .benches import sine, stages, swing, variant
@@ -362,3 +365,25 @@ def test_the_computer_is_kept_awake_where_the_system_permits_it(
     monkeypatch.setenv("REFUSED", refused)
     with kept_awake("rig run") as reason:
         assert reason == why
+
+
+def test_what_keeps_no_computer_awake_is_named_on_a_real_bench(tmp_path, monkeypatch):
+    asked: list[list[str]] = []
+
+    def missing(command: list[str], **_options: Any) -> None:
+        asked.append(command)
+        raise FileNotFoundError
+
+    simulated = load_bench("practical_serial")
+    monkeypatch.setattr(attendance.subprocess, "Popen", missing)
+    monkeypatch.setattr(attendance, "connect", lambda *_: connect(simulated, 0, realtime=False))
+    real = variant(tmp_path, ("port: mock", "port: /dev/some"), source="practical_serial")
+    with connected(StopButton(), load_bench(real), 0, realtime=True) as devices:
+        assert unprotected(devices) == [NO_WATCHDOG, sleep_words(devices.awake)]
+    ((tool, what, *_),) = asked
+    assert tool in devices.awake
+    assert set(what.removeprefix("--what=").split(":")) == {"sleep", "idle", "handle-lid-switch"}
+    guarded: Any = dataclasses.replace(devices, guard=object(), awake="")
+    assert unprotected(guarded) == [GUARDED]
+    with connected(StopButton(), simulated, 0, realtime=True) as devices:
+        assert (len(asked), devices.awake) == (1, "")
