@@ -121,6 +121,16 @@ def test_a_device_that_leaves_operational_is_noticed(host: Host, command: int, m
     goes_on(host)
 
 
+@pytest.mark.parametrize("command", [128, 2])
+def test_a_device_that_left_operational_before_its_start_is_not_lost(host, command):
+    prepared(host).cycles(5)
+    host.bench.bus.send(frame(0, bytes([command, 1])))
+    host.link.pump(lambda: False, 0.1)  # its heartbeat is heard, and no exchange reports it
+    host.servo.prepare(host.cycle_s)
+    host.cycles(5)
+    assert host.servo.sample().fresh
+
+
 def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
     prepared(host).cycles(1)
     host.link.take_frames()
