@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.clock import NS
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.serial_bus import UNWATCHED_SHARE
@@ -74,3 +75,19 @@ def test_an_encoder_line_beside_a_can_servo(tmp_path: Path) -> None:
         assert devices.servo.sample().fresh
         assert devices.encoder.sample().fresh
         assert devices.encoder.identity().name == "AMT21 at 54h"
+
+
+def test_after_a_pause_the_motor_shows_the_turn_of_the_joint() -> None:
+    """In the pause the joint could have made half a turn, which its encoder does not count."""
+    document = load_bench("practical_serial")
+    with connect(document, 0, realtime=False) as devices:
+        devices.prepare(document.value.cycle_s)
+        devices.link.exchange()
+        before, clock = devices.encoder.sample(), devices.link.clock
+        assert before.fresh
+        for pause_ns in (3 * NS, document.value.cycle_ns):
+            clock.sleep_until_ns(clock.now_ns() + pause_ns)
+            devices.link.exchange()
+        after = devices.encoder.sample()
+    assert after.fresh
+    assert after.angle_rad == pytest.approx(before.angle_rad, abs=0.01)
