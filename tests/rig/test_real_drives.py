@@ -149,6 +149,20 @@ def test_a_drive_without_a_heartbeat_consumer_is_guarded_or_has_reduced_limits(
     assert (NO_WATCHDOG in shown.out + shown.err) is not watched
 
 
+@pytest.mark.parametrize("behaviour", [0, pytest.param(2, marks=pytest.mark.proof)])
+def test_a_drive_that_leaves_operational_without_its_master_is_commissioned(here, behaviour):
+    eds, count = re.subn(
+        r"(?s)(\[1029sub1\].*?DefaultValue=)[^\n]*",
+        rf"\g<1>{behaviour}",
+        description("Elmo"),
+        count=1,
+    )
+    words = ["commission", bench("Elmo", eds=eds), "--yes", "--angle", "0", "--out", "o"]
+    assert (count, status(words)) == (1, 0)
+    record = json.loads(Path("o/commission.json").read_text())
+    assert record["drive"]["verified"] is True
+
+
 @pytest.mark.parametrize("address", [(0x60C2, 1), (0x1016, 1)])
 def test_an_object_that_only_the_eds_has_is_a_problem_of_the_check(here, address):
     document = load_bench(bench("Elmo"))
