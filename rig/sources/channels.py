@@ -248,11 +248,18 @@ def starts_again(values: Array) -> Turn | None:
     moved = np.where(np.isin(near, rows), np.nan, steps[near])
     moved = np.where(np.isnan(moved), slopes, moved).mean(axis=0)
     turns = np.abs(steps[rows] - moved)
+    uncertainty = _uncertainty(noise, known)
+    return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
+
+
+def _uncertainty(noise: Array, known: Array) -> float:
+    """Return the uncertainty of a turn, from the second differences apart from the jumps.
+
+    The error of a turn is that of a second difference, and of counts half a count.
+    """
     rms = float(np.sqrt(np.mean(noise**2))) if noise.size else 0.0
     whole = bool(np.all(known == np.rint(known)))
-    # The error of a turn is that of a second difference, and of counts half a count.
-    uncertainty = 2.0 * rms + 0.5 * whole + 1e-6 * span
-    return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
+    return 2.0 * rms + 0.5 * whole + 1e-6 * float(np.ptp(known))
 
 
 def _rounded(turn: float, uncertainty: float) -> float:
@@ -307,9 +314,14 @@ def _time(values: Array) -> tuple[Array, str]:
     forward = steps[steps > 0]
     if not forward.size:
         return values, ""
-    longest = TIME_PERIODS * float(np.median(forward))
+    period = float(np.median(forward))
+    longest = TIME_PERIODS * period
     whole = bool(np.all(values == np.rint(values)))
-    candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
+    # A clock counts on at its usual period; 0 to 999 is a part of a second, and no 10 bits.
+    noise = _uncertainty(np.diff(steps[~back]), values)
+    turn = Turn(float(np.median(period - steps[back])), noise, int(back.sum()))
+    widths = [power for power in POWERS if whole and turn.agrees(2.0**power)]
+    candidates = [(2.0**power, f"2^{power}") for power in widths]
     candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
     candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
     for modulus, words in candidates:
@@ -317,7 +329,7 @@ def _time(values: Array) -> tuple[Array, str]:
         if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
             turns = np.concatenate(([0.0], np.cumsum(back)))
             return values + modulus * turns, (
-                f"starts again after {words}, {int(back.sum())} times: corrected"
+                f"starts again after {words}, {turn.times} times: corrected"
             )
     return values, ""
 
@@ -382,7 +394,7 @@ def on_one_time(
             problems.append(f"{table.path}: {error}")
             continue
         notes += [f"`{name}`: {note}"] if note else []
-        turn = None if note or name not in POSITIONS else starts_again(values)
+        turn = None if note or name not in POSITIONS | TIMES else starts_again(values)
         if turn is not None:
             problems.append(f"{table.path}: {starting_again(name, turn)}")
     if problems:
@@ -392,8 +404,15 @@ def on_one_time(
 
 
 def starting_again(name: str, turn: Turn) -> str:
-    """Return that a position starts again after a turn, with the key that states this."""
+    """Return that a column starts again after a turn, with the key that states this, if any."""
     times = "once" if turn.times == 1 else f"{turn.times} times"
+    if name in TIMES:
+        return (
+            f"`{name}` starts again {times}, after {turn.after:.6g} in units of its column, which "
+            "is no end of a counter that is known: the column holds a part of the time, or several "
+            "recordings; use a column in which the whole time goes on, state `rate` in place of "
+            "`time`, or cut the file there"
+        )
     return (
         f"`{name}` jumps {times} over its whole range, by {turn.after:.6g} in units of its column: "
         "it starts again after a turn; state the turn beside the column, "

@@ -258,7 +258,7 @@ def test_a_turn_that_the_column_exceeds_is_refused(tmp_path: Path) -> None:
         load(tmp_path, HEAD, "{time: {column: t, wraps_after: 9}, current: i, angle: q}")
 
 
-@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (32, 1e-6)])
+@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (16, 1e-4), (32, 1e-6)])
 def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
     ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
     values = np.column_stack([ticks % 2**bits, CURRENT, 100 * ANGLE, ANGLE])
@@ -266,6 +266,20 @@ def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> Non
     recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
     np.testing.assert_allclose(np.diff(recording.time), 1e-3, atol=1e-9)
     assert any(f"starts again after 2^{bits}" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("part", "period"), [(1e3, 1), (1e3, 20), (1e6, 1000), (1e9, 1_000_000)])
+def test_a_part_of_a_second_is_no_counter_of_bits(tmp_path, part, period):
+    """A column such as `msec` of 0 to 999 starts again in each second: not after 1024."""
+    values = np.tile(TRUTH, (10, 1))
+    values[:, 0] = (np.arange(len(values)) * period + 0.7 * part) % part
+    channels = CHANNELS.replace("time: t", f"time: {{column: t, scale: {1 / part}}}")
+    with pytest.raises(InputError) as refused:
+        load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
+    (problem,) = refused.value.problems
+    assert "log.csv: `time` starts again" in problem
+    assert "`rate`" in problem
+    assert f"after {part:g} " in problem
 
 
 def test_signed_numbers_stored_as_unsigned(tmp_path: Path) -> None:
@@ -495,7 +509,7 @@ def test_json_lines(tmp_path: Path) -> None:
 
 def test_recordings_that_follow_each_other_are_no_wrap(tmp_path: Path) -> None:
     values = np.vstack([TRUTH[:256], TRUTH[:256]])
-    with pytest.raises(InputError, match="time runs backwards"):
+    with pytest.raises(InputError, match="`time` starts again once"):
         load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
 
 
