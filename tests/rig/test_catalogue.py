@@ -1,7 +1,9 @@
 """Run folders as they are listed, and the index that only saves time."""
 
+import io
 import json
 import shutil
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -144,6 +146,24 @@ def test_folders_are_listed_as_what_they_are(root, harm, kind, problem):
     assert problem in head.problem
     if (root / "one" / "identify.json").exists():
         assert "identify.json" in head.notes[0]
+
+
+def test_a_commissioning_is_listed_as_such(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n0,0\nabort\n"))
+    assert status(["commission", "practical", "--out", "runs/new"]) == 3
+    head = listed(Path("runs"))["new"].head
+    assert (head.kind, head.bench, head.problem) == ("commissioning", "practical", "")
+    assert head.state == "stopped"
+    capsys.readouterr()
+    assert status(["runs", "list", "runs"]) == 0
+    assert "half written" not in capsys.readouterr().out
+    # Its recording holds no copy of a run's record, from which one could be rebuilt.
+    Path("runs/new/commission.json").unlink()
+    head = listed(Path("runs"))["new"].head
+    assert head.kind == "half written"
+    assert "rig recover" not in head.problem
+    assert status(["recover", "runs/new"]) == 2
 
 
 def test_runs_are_chosen_by_what_is_known(root: Path) -> None:
