@@ -108,6 +108,18 @@ def test_an_ending_of_another_format_is_refused(
     assert not list(tmp_path.glob("exp*"))
 
 
+@pytest.mark.parametrize("kind", ["csv", "mat", "candump"])
+def test_a_missing_ending_is_added(run: Path, kind: str) -> None:
+    before = set(Path().iterdir())
+    assert status(["export", str(run), "--out", "exp", "--format", kind]) == 0
+    made = {path.name for path in set(Path().iterdir()) - before}
+    several = kind == "csv" and len(load_source(run).recordings) > 1
+    ending = "log" if kind == "candump" else kind
+    assert any(name.startswith("exp-" if several else "exp.") for name in made)
+    for name in made:
+        assert name.removesuffix(".json").endswith(f".{ending}"), name
+
+
 def test_the_file_beside_a_csv_file_is_not_overwritten(
     tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
