@@ -94,6 +94,25 @@ def test_the_campaign_of_a_look_is_valid_and_loads(tmp_path, capsys):
     assert status([*arguments, "--campaign", str(campaign)]) == 2
 
 
+def test_an_angle_that_starts_again_is_noted_and_its_turn_is_written(tmp_path):
+    angle = 900.0 * np.sin(4.0 * TIME)
+    rows = zip(TIME, 2.0 * np.cos(4.0 * TIME), angle % 360.0, strict=True)
+    lines = [",".join(repr(float(value)) for value in row) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join(["time [s],current [A],angle [deg]", *lines]))
+    campaign = tmp_path / "c.yaml"
+    arguments = ["look", str(tmp_path / "log.csv"), "--json", str(tmp_path / "look.json")]
+    assert status([*arguments, "--campaign", str(campaign)]) in (None, 0)
+    (log,) = json.loads((tmp_path / "look.json").read_text())["logs"]
+    note = log["columns"][2]["wrap"]
+    assert "360" in note
+    assert "wraps_after" in note
+    channels = load_campaign(campaign).value.recordings[0].channels
+    turns = {name: channel.wraps_after for name, channel in channels.items()}
+    assert turns == {"time": None, "current": None, "angle": 360.0}
+    found = load_source(campaign).recordings[0].channels["angle"]
+    np.testing.assert_allclose(found - found[0], np.radians(angle), atol=1e-9)
+
+
 def test_a_log_whose_columns_are_unknown_names_the_remedy(tmp_path, capsys):
     write_log(tmp_path / "log.csv", "a,b,c,d,e")
     arguments = ["look", str(tmp_path / "log.csv"), "--campaign", str(tmp_path / "c.yaml")]
