@@ -389,11 +389,14 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
             return self.descriptor
 
     class Screen:
+        shared = False
+
         def say(self, words: str) -> None:
+            assert self.shared, "the other program may have left a line unfinished"
             did.append(("screen", words))
 
         def share(self) -> None:
-            pass
+            self.shared = True
 
         def drain(self, patience_s: float) -> None:
             did.append(("drain", patience_s))

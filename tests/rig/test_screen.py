@@ -1,6 +1,7 @@
 """The screen: nothing that a terminal or pipe does can hold it up."""
 
 import fcntl
+import io
 import os
 import struct
 import termios
@@ -139,6 +140,20 @@ def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(termina
     assert len(drawn) == 4
     assert all(len(line.replace("\x1b[J", "")) == 39 for line in drawn)
     screen.close()
+
+
+def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Terminal) -> None:
+    screen = on(terminal)
+    screen.share()
+    for words in ("x", "y"):
+        screen.say(words)
+    assert terminal.shown() == "\nx\n\ny\n"
+    screen.close()
+    stream = io.StringIO()
+    piped = Screen(SimulatedClock(), io.StringIO(), stream)
+    piped.share()
+    piped.say("x")
+    assert stream.getvalue() == "x\n"
 
 
 def test_a_message_takes_the_place_of_the_status_line(terminal: Terminal) -> None:
