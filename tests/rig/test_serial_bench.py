@@ -3,12 +3,15 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import NS
+from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.serial_bus import UNWATCHED_SHARE
+from rig.config.serial_bus import NO_WATCHDOG, UNWATCHED_SHARE
+from rig.control.remote import RunProgress
+from rig.runs.run import read_record
 from rig.wiring.connect import connect
 
-from .benches import variant
+from .benches import stages, swing, variant
 
 BUS = "bus: {interface: epos_serial, port: mock, baud: 1000000, round_trip_ms: 0}"
 ENCODER = "encoder: {kind: amt21, port: mock, baud: 2000000, address: 84, sign: 1, offset_deg: 0}"
@@ -91,3 +94,20 @@ def test_after_a_pause_the_motor_shows_the_turn_of_the_joint() -> None:
         after = devices.encoder.sample()
     assert after.fresh
     assert after.angle_rad == pytest.approx(before.angle_rad, abs=0.01)
+
+
+def test_a_run_over_serial_says_once_what_nothing_protects(elsewhere, monkeypatch, capsys):
+    """It is said at the start, and not again between the result and how to go on."""
+
+    def press(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunProgress, "__call__", press)
+    Path("s.yaml").write_text(stages(swing(amplitude_deg=3)))
+    assert status(["run", "s.yaml", "--bench", "practical_serial", "--yes", "--out", "out"]) == 3
+    told = capsys.readouterr()
+    assert "go on with: rig resume out" in told.out + told.err
+    assert (told.out.count(NO_WATCHDOG), told.err.count(NO_WATCHDOG)) == (0, 1)
+    record = read_record(Path("out"))
+    assert NO_WATCHDOG in record.warnings
+    assert (record.state, record.stale, record.de_energised) == ("stopped", 0, True)
