@@ -11,6 +11,7 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError, StorageError
 from rig.common.sample import Sample
+from rig.control.remote import RunProgress
 from rig.runs import run as run_module
 from rig.runs.catalogue.index import list_runs
 from rig.runs.recorder import GoneError, Recorder, open_recorder
@@ -94,6 +95,22 @@ def test_the_space_for_the_whole_run_is_checked_before(monkeypatch, capsys):
     require_space(Path("a/b/c"), 100)
     with pytest.raises(InputError):
         require_space(Path("a/b/c"), 1e6)
+
+
+def test_the_space_for_the_rest_is_checked_before_a_run_goes_on(monkeypatch, capsys):
+    def press(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as context:
+        context.setattr(RunProgress, "__call__", press)
+        assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 3
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    usage = shutil.disk_usage(".")._replace(free=run_module._MARGIN_BYTES)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    capsys.readouterr()
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "MB are free" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 
 
 @pytest.mark.parametrize("first", ["recording", "run.json"])
