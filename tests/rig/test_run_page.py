@@ -689,6 +689,27 @@ def test_any_values_can_be_drawn(values: list[float]) -> None:
         assert each["range"][0] < each["range"][1]
 
 
+@pytest.mark.parametrize("value", [60.0, -60.0, 0.0])
+def test_the_axis_of_a_constant_is_close_about_it(value: float) -> None:
+    made = chart(CURRENT, current(value, value), [], None, tall=False)
+    low, high = made.range
+    assert low < value < high
+    assert high - low < 0.3 * abs(value) + 1e-5
+
+
+@given(st.floats(1e-3, 1e5), st.floats(0.0, 1e3))
+def test_the_ticks_of_the_time_are_round_numbers(total: float, start: float) -> None:
+    ticks = list(TimeAxis([(start, start + total)]).ticks())
+    assert 2 <= len(ticks) <= 6
+    places, values = np.array([(place, float(label)) for place, label in ticks]).T
+    (step,) = {float(f"{each:.3g}") for each in np.diff(values)}
+    assert step == float(f"{step:.0e}"), "one digit"
+    assert f"{step:.0e}"[0] in "125"
+    np.testing.assert_allclose(np.rint(values / step) * step, values, rtol=1e-9, atol=1e-9)
+    drawn = start + places * total
+    np.testing.assert_allclose(drawn, values, rtol=0.0, atol=1e-6 * total + 1e-9)
+
+
 def test_text_from_files_is_escaped() -> None:
     plots = Plots()
     panel = Panel("<t>", "<u>", 1.0, {"current": "<c>"})
