@@ -148,6 +148,11 @@ def growth(where: Place) -> int:
 DRIVE = "m => m.driveWords({ phase: 'release', ended: {} }, null, ROW)"
 WHEN = """m => ((phase, current, silent_s, lost) =>
     m.whenWords(phase, { current, silent: silent_s > 0, silent_s }, lost))(...ROW)"""
+NOW = """m => {
+    const now = {}, channel = { unit: "deg", low: -2, high: 2 };
+    m.Charts.prototype.values.call({ list: [{ now, channel }] }, ROW, "now");
+    return now.textContent;
+}"""
 NUMBER = "m => m.shownNumber(ROW, 'deg')"
 STATE = "m => m.driveWords(ROW[0], { drive: 'ENERGISED: enabled', gone: ROW[1] }, null)"
 WORDS: list[tuple[str, str, Any, str]] = [
@@ -172,6 +177,8 @@ WORDS: list[tuple[str, str, Any, str]] = [
     ("charts", NUMBER, -0.0004, "0.000 deg"),
     ("charts", NUMBER, -0.0006, "-0.001 deg"),
     ("charts", NUMBER, -1.234, "-1.23 deg"),
+    ("charts", NOW, [None], "not reported"),
+    ("charts", NOW, [-1.0], "now -1.00 deg, 50 % of the limit"),
 ]
 
 
@@ -180,6 +187,39 @@ def test_values_are_called_read_back_and_new_only_if_they_are(opened):
     for module, function, row, words in WORDS:
         call = function.replace("ROW", json.dumps(row))
         assert page.evaluate(f'import("/static/{module}.js").then({call})') == words
+
+
+STROKES = """m => {
+    const [holder, legend, words] = [1, 2, 3].map(() => document.createElement("div"));
+    document.body.append(holder);
+    const drawn = new m.Friction(holder, legend, words);
+    drawn.take({ from: 0, rows: [[1, 1, 1], [2, 1, 5], [3, 1, 9]] });
+    drawn.weigh({ 1: 0, 5: 20, 9: 0 });
+    drawn.draw();
+    return drawn.plot.series.slice(1).map((series, i) => [series.stroke(drawn.plot, i + 1),
+        drawn.plot.data[i + 1].filter((value) => value !== null).length]);
+}"""
+
+
+def test_two_masses_have_two_colours_also_in_a_run_that_was_continued(opened):
+    """The numbers of the excitations go on, and those of one mass lie apart."""
+    page = opened()
+    found = page.evaluate(f'import("/static/charts.js").then({STROKES})')
+    assert [points for _, points in found] == [2, 1]
+    assert len({stroke for stroke, _ in found}) == 2
+
+
+def require_one_line(page: Page) -> None:
+    """Check that the items at the head of the page stand beside each other."""
+    boxes = page.evaluate(
+        """() => [...document.querySelectorAll("header > *")].map((each) => {
+            const { top, bottom } = each.getBoundingClientRect();
+            return [top, bottom];
+        })"""
+    )
+    tops, bottoms = zip(*(box for box in boxes if box[0] < box[1]), strict=True)
+    assert len(tops) >= 4
+    assert max(tops) < min(bottoms)
 
 
 def require_extremes(page: Page) -> None:
@@ -241,6 +281,7 @@ def test_a_run_from_the_start_to_a_stop_by_another_page(opened, where):
     expect(page.locator("#outcome")).to_contain_text("The joint follows the planned motion")
     expect(page.locator("#headline")).to_have_text("ENERGISED")
     expect(page.locator("#limits-when")).to_have_text("Now")
+    require_one_line(page)
     wait_until(lambda: drawn(page) > 3.0)
     # The charts are drawn over their whole width, although they were hidden at first.
     place = page.locator("#chart-angle [role=img]")
