@@ -320,11 +320,12 @@ def _time(values: Array) -> tuple[Array, str]:
     # A clock counts on at its usual period; 0 to 999 is a part of a second, and no 10 bits.
     noise = _uncertainty(np.diff(steps[~back]), values)
     turn = Turn(float(np.median(period - steps[back])), noise, int(back.sum()))
-    widths = [power for power in POWERS if whole and turn.agrees(2.0**power)]
-    candidates = [(2.0**power, f"2^{power}") for power in widths]
+    candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
     candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
     candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
     for modulus, words in candidates:
+        if not turn.agrees(modulus):
+            continue
         over = steps[back] + modulus
         if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
             turns = np.concatenate(([0.0], np.cumsum(back)))
