@@ -138,7 +138,8 @@ ORDINARY_SHARE = 0.125
 """Greatest step between overflows, as a share of the modulus; larger steps have no sure sign."""
 TIME_PERIODS = 100.0  # longest time step at an overflow, in median periods
 SURE_SHARE = 0.01
-"""Greatest uncertainty of a measured modulus, relative to it, at which a width in bits is sure."""
+"""Greatest uncertainty of a measured modulus, relative to it, at which a width in bits is sure; and
+the greatest deviation of a clock's, which lost samples cause."""
 POSITIONS = frozenset({"angle", "motor_angle"})
 TIMES = frozenset({"time", "angle_time"})
 
@@ -248,18 +249,11 @@ def starts_again(values: Array) -> Turn | None:
     moved = np.where(np.isin(near, rows), np.nan, steps[near])
     moved = np.where(np.isnan(moved), slopes, moved).mean(axis=0)
     turns = np.abs(steps[rows] - moved)
-    uncertainty = _uncertainty(noise, known)
-    return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
-
-
-def _uncertainty(noise: Array, known: Array) -> float:
-    """Return the uncertainty of a turn, from the second differences apart from the jumps.
-
-    The error of a turn is that of a second difference, and of counts half a count.
-    """
     rms = float(np.sqrt(np.mean(noise**2))) if noise.size else 0.0
     whole = bool(np.all(known == np.rint(known)))
-    return 2.0 * rms + 0.5 * whole + 1e-6 * float(np.ptp(known))
+    # The error of a turn is that of a second difference, and of counts half a count.
+    uncertainty = 2.0 * rms + 0.5 * whole + 1e-6 * span
+    return Turn(_rounded(float(np.median(turns)), uncertainty), uncertainty, len(rows))
 
 
 def _rounded(turn: float, uncertainty: float) -> float:
@@ -317,20 +311,19 @@ def _time(values: Array) -> tuple[Array, str]:
     period = float(np.median(forward))
     longest = TIME_PERIODS * period
     whole = bool(np.all(values == np.rint(values)))
-    # A clock counts on at its usual period; 0 to 999 is a part of a second, and no 10 bits.
-    noise = _uncertainty(np.diff(steps[~back]), values)
-    turn = Turn(float(np.median(period - steps[back])), noise, int(back.sum()))
+    after = float(np.median(period - steps[back]))
     candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
     candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
     candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
     for modulus, words in candidates:
-        if not turn.agrees(modulus):
+        # A clock counts on, less a few lost samples; 0 to 999 is a part of a second, no 10 bits.
+        if abs(after - modulus) > SURE_SHARE * modulus:
             continue
         over = steps[back] + modulus
         if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
             turns = np.concatenate(([0.0], np.cumsum(back)))
             return values + modulus * turns, (
-                f"starts again after {words}, {turn.times} times: corrected"
+                f"starts again after {words}, {int(back.sum())} times: corrected"
             )
     return values, ""
 

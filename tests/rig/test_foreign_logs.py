@@ -258,9 +258,12 @@ def test_a_turn_that_the_column_exceeds_is_refused(tmp_path: Path) -> None:
         load(tmp_path, HEAD, "{time: {column: t, wraps_after: 9}, current: i, angle: q}")
 
 
-@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (16, 1e-4), (32, 1e-6)])
-def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
+@pytest.mark.parametrize(
+    ("bits", "scale", "lost"), [(8, 1e-3, 0), (16, 1e-4, 30), (32, 1e-6, 0), (32, 1e-6, 30)]
+)
+def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float, lost: int) -> None:
     ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
+    ticks[40:] += lost * round(1e-3 / scale)
     values = np.column_stack([ticks % 2**bits, CURRENT, 100 * ANGLE, ANGLE])
     channels = CHANNELS.replace("time: t", f"time: {{column: t, scale: {scale}}}")
     recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
