@@ -83,6 +83,10 @@ median interval, and as a multiple of the median absolute deviation.
 """
 LEAST_CLEAN = 0.1
 """Samples near a bad sample are removed if this share of the moving samples remains."""
+REST_PERIODS = 6.0  # shortest rest in noise, in periods of the cut-off frequency
+REST_NOISES = (
+    5.0  # greatest change of a smoothed angle at rest, in standard deviations of its noise
+)
 REST_SAMPLES = 8  # successive samples at rest over which the angle changes by at most one step
 
 
@@ -228,6 +232,29 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
             if np.all(apart[:-samples] <= tolerance) and np.median(apart[-samples:]) <= tolerance:
                 found[last : after[0]] = True
     return found
+
+
+def within_noise(angle: Array, smoothed: Array, rate: float, cutoff: float) -> BoolArray:
+    """Mark stretches in which the smoothed angle changes by no more than its noise.
+
+    The speed at such a rest is noise, whose sign would give the joint friction without a torque.
+
+    Args:
+        angle: Measured angle, shape (n,), rad.
+        smoothed: The same after a low-pass filter.
+        rate: Sample rate, Hz.
+        cutoff: Cut-off frequency of the filter, Hz.
+    """
+    marks = np.zeros(len(angle), dtype=bool)
+    noise = 1.4826 * float(np.median(np.abs(angle - smoothed)))
+    if noise == 0.0:
+        return marks
+    samples = round(REST_PERIODS * rate / cutoff)
+    whole = len(angle) // samples * samples
+    change = np.ptp(smoothed[:whole].reshape(-1, samples), axis=1)
+    left = noise * math.sqrt(min(1.0, 2.0 * cutoff / rate))
+    marks[:whole] = np.repeat(change <= REST_NOISES * left, samples)
+    return marks
 
 
 def irregular(time: Array, grid: Array) -> BoolArray:
@@ -400,8 +427,9 @@ def _motion(
         series = resample(recording.time, position, grid)
         still = resting(series)
         if "velocity" not in recording.channels or quantum(position) > 0.0:
-            series = smooth(series, rate, cutoff)
-            return series, central_difference(series, 1.0 / rate), still
+            smoothed = smooth(series, rate, cutoff)
+            still |= within_noise(series, smoothed, rate, cutoff)
+            return smoothed, central_difference(smoothed, 1.0 / rate), still
     elif "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
     raw = resample(recording.time, recording.channels["velocity"], grid)

@@ -171,6 +171,19 @@ def test_samples_touched_by_rest_are_not_used() -> None:
     assert np.all(prepared.used[outside])
 
 
+def test_a_rest_in_the_noise_of_an_angle_is_not_used() -> None:
+    """At rest the sign of a noisy speed would give Coulomb friction without a torque."""
+    recording = sine(ROLLING, frequency=0.5, duration=30.0)
+    rests, angle = recording.time > 6.0, recording.channels["angle"]
+    held = np.where(rests, np.interp(6.0, recording.time, angle), angle)
+    held += 2e-5 * np.random.default_rng(3).standard_normal(len(angle))
+    torque = np.where(rests, 0.0, recording.channels["torque"])
+    found = prepare(with_channels(recording, angle=held, velocity=None, torque=torque), 40.0)
+    assert np.mean(found.used[found.time > 6.2]) < 0.02
+    assert np.mean(found.used[found.time < 5.8]) > 0.8
+    assert linear_fit(found)[:2] == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"]], rel=0.02)
+
+
 def test_exact_channels_leave_out_what_the_rate_cannot_resolve() -> None:
     """A jump of speed within one sample, as at breakaway."""
     recording = sine(drift=0.6, frequency=0.7)
