@@ -68,6 +68,12 @@ def refusal(refined: Refined, before: float, after: float) -> str:
     )
     if not np.all(np.isfinite(judged)):
         return "the search diverged to values that are not finite"
+    # Where no search ends at a solution, its noise says nothing about the model.
+    if refined.equations_chi2 > MOST_CHI2:
+        return (
+            "no search of the unloaded fit solves the estimating equations (least chi-square "
+            f"{refined.equations_chi2:.3g}, limit {MOST_CHI2:g})"
+        )
     if refined.noise.torque > MOST_NOISE * refined.torque_scatter:
         return (
             f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
@@ -86,11 +92,6 @@ def refusal(refined: Refined, before: float, after: float) -> str:
             f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats in matching "
             f"half cycles (limit {100.0 * MOST_REPEATING:.0f} %), so the recordings show "
             "physics that the model lacks"
-        )
-    if refined.equations_chi2 > MOST_CHI2:
-        return (
-            "no search of the unloaded fit solves the estimating equations (least chi-square "
-            f"{refined.equations_chi2:.3g}, limit {MOST_CHI2:g})"
         )
     if refined.likelihood_drop > MOST_DROP:
         return (
