@@ -179,7 +179,12 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     if count > MISSING_SHARE * considered or longest > MISSING_RUN:
         raise UnusableError(
             f"{count} of {considered} samples are missing, the longest run {longest} (at most"
-            f" {100 * MISSING_SHARE:g} %, and {MISSING_RUN} in a row, are interpolated)",
+            f" {100 * MISSING_SHARE:g} %, and {MISSING_RUN} in a row, are interpolated)"
+            + (
+                "; use the part before or after the gap by `window`"
+                if longest > MISSING_RUN
+                else ""
+            ),
             first,
         )
     filled = np.where(finite, values, np.nan)

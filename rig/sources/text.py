@@ -403,7 +403,7 @@ class DelimitedTable(Table):
             hint = '; if the comma is a decimal comma, set read.decimal: ","'
         else:
             hint = (
-                "; skip header lines with read.skip_rows"
+                "; skip header lines with read.skip_rows, or use a column of numbers"
                 if line <= self._skip + 2
                 else "; repair or remove the line"
             )

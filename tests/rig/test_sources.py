@@ -229,6 +229,11 @@ def test_what_cannot_be_used_is_refused_with_its_line(tmp_path, change, item, pl
     assert problems(tmp_path, change, item)[0].startswith(f"{tmp_path}/a.csv{place}: {words}")
 
 
+@pytest.mark.parametrize(("rows", "told"), [(slice(100, 106), True), (slice(0, N, 19), False)])
+def test_a_long_gap_of_a_channel_is_left_out_by_a_window(tmp_path, rows, told):
+    assert ("`window`" in problems(tmp_path, put("m", rows, np.nan))[0]) is told
+
+
 def test_what_is_mended_is_near_the_truth(tmp_path: Path) -> None:
     (recording,) = load(tmp_path, put("a", [10, 11, 500, N - 1], np.nan))
     np.testing.assert_allclose(recording.channels["angle"], motion()["a"], atol=0.01)
