@@ -51,6 +51,22 @@ class RecordingError(ValueError):
     """A recording that cannot be used; the message names the recording, the channel and the row."""
 
 
+def not_one_of(name: str, value: object, words: Iterable[str]) -> list[str]:
+    """Return what is wrong with a value that must be one of some words, or nothing."""
+    known = tuple(words)
+    return [] if value in known else [f"{name} must be {', '.join(known)} (got {value!r})"]
+
+
+def refuse(place: str, wrong: Iterable[str]) -> None:
+    """Raise an error with all that is wrong at a place, if anything is.
+
+    Raises:
+        RecordingError: Something is wrong.
+    """
+    if words := "; ".join(wrong):
+        raise RecordingError(f"{place}: {words}")
+
+
 @dataclass(frozen=True)
 class Bench:
     """Known constants of the machine on which a recording was made.
@@ -163,6 +179,14 @@ class Controller:
     velocity_gain: float = 0.0
     limit: float | None = None
 
+    def __post_init__(self) -> None:
+        """Check the kind of the output.
+
+        Raises:
+            RecordingError: It is unknown.
+        """
+        refuse("controller", not_one_of("output", self.output, ("duty", "voltage", "torque")))
+
 
 @dataclass(frozen=True)
 class Model:
@@ -199,9 +223,7 @@ class Model:
             RecordingError: A name is unknown, a parameter is both fixed and bounded or known with
                 an uncertainty, or a bound or an uncertainty is none.
         """
-        wrong = []
-        if self.friction not in LADDER:
-            wrong.append(f"friction must be {', '.join(LADDER)} (got {self.friction!r})")
+        wrong = not_one_of("friction", self.friction, LADDER)
         unknown = {*self.fixed, *self.priors, *self.bounds} - UNITS_ROTARY.keys()
         if unknown:
             known = ", ".join(UNITS_ROTARY)
@@ -214,8 +236,7 @@ class Model:
         for name, (_, deviation) in self.priors.items():
             if not 0.0 < deviation < math.inf:
                 wrong.append(f"prior of {name}: its deviation must be above 0 (got {deviation})")
-        if wrong:
-            raise RecordingError("model: " + "; ".join(wrong))
+        refuse("model", wrong)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -335,8 +356,8 @@ class Recording:
         ``channels``; the other arguments are the attributes.
 
         Raises:
-            RecordingError: A channel is unknown, its length differs from that of the time, or time
-                does not increase.
+            RecordingError: A channel is unknown, its length differs from that of the time, time
+                does not increase, or another argument is not what it must be.
         """
         given = dict(locals())  # the arguments by name
         table = {} if channels is None else {str(n): channels[n] for n in channels}
@@ -360,6 +381,9 @@ class Recording:
         self._check()
 
     def _check(self) -> None:
+        wrong = not_one_of("role", self.role, ("fit", "validate", "unused"))
+        wrong += not_one_of("stage", self.stage, ("unloaded", "loaded"))
+        refuse(self.name, wrong)
         if "time" not in self.channels:
             raise RecordingError(f"{self.name}: no channel 'time'")
         n = len(self.channels["time"])

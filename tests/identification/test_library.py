@@ -168,6 +168,23 @@ def test_a_model_that_contradicts_itself_is_an_error(given: dict[str, Any]) -> N
         lr.Model(**given)
 
 
+TABLE = {"time": [0.0, 1.0], "angle": [0.0, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: lr.Recording(channels=TABLE, role="train"), ("role", "train", "validate")),
+        (lambda: lr.Recording(channels=TABLE, stage="heavy"), ("stage", "heavy", "unloaded")),
+        (lambda: lr.Controller("amps", 3.0), ("output", "amps", "duty")),
+    ],
+)
+def test_an_argument_that_is_impossible_is_named(make: Any, words: tuple[str, ...]) -> None:
+    with pytest.raises((ValueError, TypeError)) as error:
+        make()
+    assert all(word in str(error.value) for word in words)
+
+
 def test_recordings_of_two_units_are_not_one_machine() -> None:
     with pytest.raises(lr.RecordingError, match="2 units"):
         lr.identify([replace(noisy(k), unit=unit) for k, unit in enumerate("ab")])
