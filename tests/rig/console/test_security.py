@@ -115,6 +115,11 @@ def opened(console: Served) -> Iterator[Callable[..., Page]]:
 def page(console: Served, opened: Callable[..., Page]) -> Page:
     """Return a page that holds the controls."""
     made = opened(console.token)
+    # The console may not yet have noticed that the pages of the test before are closed.
+    for _ in range(200):
+        if made.accepted and not made.refused:
+            break
+        made = opened(console.token)
     console.request("POST", "/controls", {"page": made.key, "number": 1})
     while not made.controls()["yours"]:
         pass
